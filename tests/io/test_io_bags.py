@@ -8,8 +8,9 @@ import pytest
 from bag_writing import KINDS, Recorded, jpeg, png
 
 from epipole.errors import ConfigError, FileFormatError, MissingDependencyError
-from epipole.io.bags._pairing import paired
+from epipole.io.bags._pairing import grouped, paired
 from epipole.io.bags.recording import bag_frames, is_bag, read_bag, read_bag_imu, read_bag_topics
+from epipole.io.bags.rig_recording import bag_rig_frames, read_bag_rig
 
 SECOND, STEP = 10**9, 10**8
 BEGIN = 1_500_000_000 * SECOND
@@ -358,3 +359,45 @@ def test_folders_and_files_that_are_no_recording(tmp_path):
     for wrong in (tmp_path / "a.bag", tmp_path / "b.mcap", tmp_path / "c.db3"):
         with pytest.raises(FileFormatError, match=wrong.name):
             read_bag(wrong)
+
+
+def test_messages_of_several_topics_are_grouped_by_their_times():
+    """Three topics, of which one lags behind, one has jitter, and one misses an instant."""
+    rows = [
+        (0, 0.0, "a0"),
+        (1, 0.003, "b0"),
+        (0, 1.0, "a1"),
+        (2, 0.001, "c0"),
+        (1, 1.004, "b1"),
+        (0, 2.0, "a2"),
+    ]
+    rows += [(2, 2.002, "c2"), (1, 1.999, "b2")]
+    found = list(grouped(rows, 3, 0.005))
+    assert found == [(0.0, ("a0", "b0", "c0")), (2.0, ("a2", "b2", "c2"))]
+    assert list(grouped(rows[:2], 3, 0.005)) == []
+
+
+def test_cameras_of_a_rig(recorded, tmp_path):
+    """Images of one instant from each of three topics; the second instant lacks one, and sizes differ."""
+    for n in range(4):
+        for k, name in enumerate(("/cam2/image_raw", "/cam10/image_raw", "/cam1/image_raw")):
+            if (n, k) != (1, 2):
+                pixels = gray(10 * n + k)[: SIZE[1] - 2 * k]
+                recorded.image(name, BEGIN + n * STEP + 2_000_000 * k, pixels, "mono8")
+    path = recorded.write(tmp_path)
+    bag = read_bag_rig(path, 3)
+    assert bag.topics == ("/cam1/image_raw", "/cam2/image_raw", "/cam10/image_raw")
+    assert bag.sizes == ((32, 20), (32, 24), (32, 22)) and bag.num_frames == 3
+    frames = list(bag_rig_frames(bag))
+    assert [round((frame.timestamp_s - BEGIN / SECOND) / 0.1, 1) for frame in frames] == [0.0, 2.0, 3.0]
+    for frame, n in zip(frames, (0, 2, 3)):
+        for read, k in zip(frame.grays, (2, 0, 1)):
+            np.testing.assert_array_equal(read(), gray(10 * n + k)[: SIZE[1] - 2 * k])
+    two = read_bag_rig(path, 2, ("cam10/image_raw", "/cam2/image_raw"))
+    assert two.topics == ("/cam10/image_raw", "/cam2/image_raw") and two.num_frames == 4
+    with pytest.raises(ConfigError, match="the calibration has 2 cameras"):
+        read_bag_rig(path, 2)
+    with pytest.raises(ConfigError, match="the calibration has 2 cameras"):
+        read_bag_rig(path, 2, ("/cam1/image_raw", "/cam1/image_raw"))
+    with pytest.raises(ConfigError, match="/odom has no images"):
+        read_bag_rig(path, 2, ("/odom", "/cam1/image_raw"))

@@ -4,11 +4,12 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from bag_writing import Recorded
 from rosbags.highlevel import AnyReader
 
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
-from epipole.errors import ConfigError, FileFormatError, ShapeError
+from epipole.errors import ConfigError, FileFormatError, NoModelError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.geometry.alignment import align_points
 from epipole.io import read_colmap_model, read_trajectory
@@ -190,12 +191,10 @@ def test_a_thread_maps_beside_tracking(images, truth):
     assert absolute_error(system.trajectory().world_from_body, truth, "none").position.rmse < 0.02
 
 
-def test_a_folder_of_cameras_and_kalibrs_calibration_are_enough(images, truth, tmp_path):
-    source, chain = tmp_path / "ride", {}
+def kalibr_file(path):
+    """The calibration of the rig, as Kalibr writes it."""
+    chain = {}
     for k in range(3):
-        (source / f"cam{k}").mkdir(parents=True)
-        for n, row in enumerate(images[:12]):
-            cv2.imwrite(str(source / f"cam{k}" / f"{n:03d}.png"), row[k])
         chain[f"cam{k}"] = {
             "camera_model": "pinhole", "distortion_model": "equidistant", "distortion_coeffs": PARAMS[4:],
             "intrinsics": PARAMS[:4], "resolution": list(SIZE),
@@ -205,9 +204,43 @@ def test_a_folder_of_cameras_and_kalibrs_calibration_are_enough(images, truth, t
             matrix = np.eye(4)
             matrix[:3, :3], matrix[:3, 3] = moved.rotation, moved.translation
             chain[f"cam{k}"]["T_cn_cnm1"] = matrix.tolist()
+    path.write_text(yaml.safe_dump(chain))
+    return path
+
+
+def test_a_bag_with_a_topic_for_each_camera_is_a_rig(images, truth, tmp_path):
+    """Topics in another order than by name; the images of one instant are 2 ms apart."""
+    recorded = Recorded("mcap")
+    topics = ("/ahead/image_raw", "/side/image_raw", "/back/image_raw")
+    for n, row in enumerate(images[:12]):
+        for topic, image, late_ms in zip(topics, row, (0, 2, 1)):
+            recorded.image(topic, 10**8 * (10 + n) + 10**6 * late_ms, image, "mono8")
+    source = recorded.write(tmp_path)
+    options = {"sensor": "rig", "calibration": kalibr_file(tmp_path / "camchain.yaml")}
+    found = run.slam(source, tmp_path / "out", topics=",".join(topics), **options)
+    assert found.summary["is_metric"] and "rig's 3 cameras" in found.summary["scale"]
+    path = read_trajectory(tmp_path / "out" / "trajectory.txt")
+    assert len(path) == 12
+    true = truth[0].inverse() @ truth[np.arange(12)]
+    assert absolute_error(path.world_from_body, true, "none").position.max < 0.02
+    model = read_colmap_model(tmp_path / "out" / "sparse" / "0")
+    assert len(model.rigs) == 1 and "cam2/frame_000000.jpg" in model.images.name
+    with pytest.raises(NoModelError):  # by name, the second camera would be the one that looks back
+        run.slam(source, tmp_path / "swapped", max_frames=1, **options)
+    with pytest.raises(ConfigError, match="the calibration has 3 cameras"):
+        run.slam(source, tmp_path / "two", topics=",".join(topics[:2]), **options)
+    with pytest.raises(ConfigError, match="masks is for folders"):
+        run.slam(source, tmp_path / "masked", masks=tmp_path, **options)
+
+
+def test_a_folder_of_cameras_and_kalibrs_calibration_are_enough(images, truth, tmp_path):
+    source = tmp_path / "ride"
+    for k in range(3):
+        (source / f"cam{k}").mkdir(parents=True)
+        for n, row in enumerate(images[:12]):
+            cv2.imwrite(str(source / f"cam{k}" / f"{n:03d}.png"), row[k])
     (source / "cam1" / "000.png").write_bytes(b"damaged")
-    calibration = tmp_path / "camchain.yaml"
-    calibration.write_text(yaml.safe_dump(chain))
+    calibration = kalibr_file(tmp_path / "camchain.yaml")
     record = tmp_path / "ride.mcap"
     found = run.slam(source, tmp_path / "out", sensor="rig", calibration=calibration, fps=10, record=record)
     assert found.summary["is_metric"] and "rig's 3 cameras" in found.summary["scale"]

@@ -1,4 +1,4 @@
-"""Streaming synchronization of messages from two topics."""
+"""Streaming synchronization of messages from several topics."""
 
 from __future__ import annotations
 
@@ -49,3 +49,27 @@ def _decided(
             continue
         time_s, item = first.popleft()
         yield time_s, item, second.popleft()[1]
+
+
+def grouped(
+    items: Iterable[tuple[int, float, Item]], num_topics: int, tolerance_s: float
+) -> Iterator[tuple[float, tuple[Item, ...]]]:
+    """Yield the first topic's time and an item of each topic whose times differ by at most the tolerance.
+
+    Args:
+        items: (topic, seconds, item); times increase within each topic, but topics may lag behind others.
+        num_topics: number of topics; they are numbered from 0.
+        tolerance_s: largest difference in time, less than half the time between two items of a topic.
+    """
+    waiting: list[deque[tuple[float, Item]]] = [deque() for _ in range(num_topics)]
+    for topic, time_s, item in items:
+        waiting[topic].append((time_s, item))
+        if len(waiting[topic]) > _MOST_WAITING:
+            waiting[topic].popleft()
+        while all(waiting):
+            newest_s = max(queue[0][0] for queue in waiting)
+            late = [queue for queue in waiting if queue[0][0] < newest_s - tolerance_s]
+            if not late:
+                yield waiting[0][0][0], tuple(queue.popleft()[1] for queue in waiting)
+            for queue in late:
+                queue.popleft()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,6 +113,14 @@ def _only(
     several = _shortened(" or ".join(",".join(choice) for choice in choices))
     raise ConfigError(
         f"{path}: several topics are possible, {several}: choose topics from {listed_topics(topics)}"
+    )
+
+
+def image_topics(topics: Sequence[BagTopic]) -> list[str]:
+    """The best image topic of each camera, by name: a number in it counts as such."""
+    return sorted(
+        _best([t.name for t in topics if t.kind == "image"]),
+        key=lambda name: [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", name)],
     )
 
 

@@ -7,9 +7,7 @@ with the package `rosbags` (`pip install 'epipole[ros]'`).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +21,8 @@ from epipole.geometry import Rigid3
 from epipole.inertial import ImuLog
 from epipole.io._named_numbers import is_rotation
 from epipole.io.bags import _images as images
-from epipole.io.bags._files import BagMessage, OpenBag, is_bag, opened_bag
+from epipole.io.bags._files import OpenBag, is_bag, opened_bag
+from epipole.io.bags._messages import first_message, gray_scale_of, size_of, stamp_s, stamped, topics_of
 from epipole.io.bags._pairing import paired
 from epipole.io.bags._topics import (
     BagSensor,
@@ -34,7 +33,6 @@ from epipole.io.bags._topics import (
     listed_topics,
 )
 from epipole.io.images.deep_pixels import GrayScale
-from epipole.io.images.pixels import MOST_SAMPLED
 from epipole.io.sequences.imu_units import in_si_units
 from epipole.scene import StereoRig
 
@@ -45,7 +43,6 @@ PAIR_TOLERANCE_S = 0.005
 """Largest time difference within a stereo pair: cameras are triggered together; drivers add jitter to the stamps."""
 DEPTH_TOLERANCE_S = 0.02
 """Largest time difference between color and depth, whose sensors are not synchronized (as in the TUM dataset)."""
-_FIRST_MESSAGES = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +102,7 @@ def read_bag_topics(path: str | Path) -> tuple[BagTopic, ...]:
         MissingDependencyError: the package rosbags is not installed.
     """
     with opened_bag(Path(path)) as bag:
-        return _topics(bag)
+        return topics_of(bag)
 
 
 @checked
@@ -124,12 +121,12 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
     """
     path = Path(path)
     with opened_bag(path) as bag:
-        all_topics = _topics(bag)
+        all_topics = topics_of(bag)
         found, names = choose_topics(path, all_topics, sensor, topics)
-        firsts = [_first(bag, name) for name in names]
+        firsts = [first_message(bag, name) for name in names]
         infos = [_info_of(bag, name, first, all_topics) for name, first in zip(names, firsts)]
-        size = _size_of(path, names[0], firsts[0])
-        scales = tuple(_scale(bag, name) for name in names[: 2 if found == "stereo" else 1])
+        size = size_of(path, names[0], firsts[0])
+        scales = tuple(gray_scale_of(bag, name) for name in names[: 2 if found == "stereo" else 1])
     count = min(t.num_messages for t in all_topics if t.name in names)
     warnings = list(bag.warnings)
     for row, info in enumerate(infos[: 1 if found == "rgbd" else 2]):
@@ -176,7 +173,7 @@ def bag_frames(bag: BagSequence) -> Iterator[BagFrame]:
         FileFormatError: the recording is damaged from here on; the frames before are valid.
     """
     with opened_bag(bag.path) as opened:
-        rows = ((bag.topics.index(m.topic), *_stamped(opened, m)) for m in opened.messages(bag.topics))
+        rows = ((bag.topics.index(m.topic), *stamped(opened, m)) for m in opened.messages(bag.topics))
         if bag.sensor == "mono":
             for _, time_s, content in rows:
                 yield BagFrame(time_s, _gray(bag, 0, content))
@@ -205,15 +202,15 @@ def read_bag_imu(path: str | Path, topic: str | None = None, units: str = "") ->
     """
     path = Path(path)
     with opened_bag(path) as bag:
-        imus = [t for t in _topics(bag) if t.kind == "imu" and topic in (None, t.name)]
+        imus = [t for t in topics_of(bag) if t.kind == "imu" and topic in (None, t.name)]
         if len(imus) != 1:
             problem = "no IMU topic found" if not imus else "there are several IMUs; choose a topic"
-            raise ConfigError(f"{path}: {problem} (topics are {listed_topics(_topics(bag))})")
+            raise ConfigError(f"{path}: {problem} (topics are {listed_topics(topics_of(bag))})")
         rows = []
         for message in bag.messages([imus[0].name]):
             content = bag.content(message)
             rotation, acceleration = content.angular_velocity, content.linear_acceleration
-            time_s = _stamp_s(content, message)
+            time_s = stamp_s(content, message)
             rows.append(
                 (time_s, rotation.x, rotation.y, rotation.z, acceleration.x, acceleration.y, acceleration.z)
             )
@@ -225,56 +222,13 @@ def read_bag_imu(path: str | Path, topic: str | None = None, units: str = "") ->
     return ImuLog(values[:, 0].copy(), gyro.copy(), accel.copy(), notes)
 
 
-def _topics(bag: OpenBag) -> tuple[BagTopic, ...]:
-    kinds = {images.CAMERA_INFO: "camera", images.IMU: "imu"}
-    found = []
-    for name, kind in bag.kinds.items():
-        if not bag.counts[name]:
-            continue
-        what: Any = kinds.get(kind, "other")
-        if kind in (images.IMAGE, images.COMPRESSED):
-            what = "depth" if images.is_depth(name, images.encoding_of(_first(bag, name))) else "image"
-        found.append(BagTopic(name, what, kind, bag.counts[name]))
-    return tuple(sorted(found, key=lambda t: t.name))
-
-
-def _first(bag: OpenBag, topic: str) -> Any:
-    """The first readable message.
-
-    Raises:
-        FileFormatError: none of the first messages is readable.
-    """
-    problem = FileFormatError(bag.path, f"{topic} has no messages")
-    for message in islice(bag.messages([topic]), _FIRST_MESSAGES):
-        try:
-            return bag.content(message)
-        except FileFormatError as error:
-            problem = error
-    raise problem
-
-
-def _scale(bag: OpenBag, topic: str) -> GrayScale | None:
-    contents: list[Any] = []
-    for message in islice(bag.messages([topic]), MOST_SAMPLED):
-        with suppress(FileFormatError):
-            contents.append(bag.content(message))
-    with suppress(FileFormatError):  # raised again when the image is read
-        return images.gray_scale(bag.path, topic, contents)
-    return None
-
-
-def _size_of(path: Path, topic: str, message: Any) -> tuple[int, int]:
-    height, width = images.gray_of(path, topic, message).shape
-    return width, height
-
-
 def _info_of(bag: OpenBag, topic: str, first: Any, topics: Sequence[BagTopic]) -> _Info | None:
     """The CameraInfo in the namespace of an image topic; else the only one with the same frame_id."""
     names = [t.name for t in topics if t.kind == "camera"]
     beside = f"{base_name(topic).rpartition('/')[0]}/camera_info"
     if beside in names:
-        return _info(bag.path, _first(bag, beside), is_rectified(topic))
-    infos = [_first(bag, name) for name in names]
+        return _info(bag.path, first_message(bag, beside), is_rectified(topic))
+    infos = [first_message(bag, name) for name in names]
     own = [message for message in infos if message.header.frame_id == first.header.frame_id]
     return _info(bag.path, own[0], is_rectified(topic)) if len(own) == 1 else None
 
@@ -315,22 +269,6 @@ def _rig(path: Path, left: _Info | None, right: _Info | None) -> StereoRig | Non
         return StereoRig(left.camera, right.camera, right_from_left)
     except EpipoleError as error:
         raise FileFormatError(path, f"the CameraInfo of the pair: {error}") from error
-
-
-def _stamped(bag: OpenBag, message: BagMessage) -> tuple[float, Any]:
-    """Time in seconds and content of a message; for a damaged one, the recording time and the error."""
-    try:
-        content = bag.content(message)
-        return _stamp_s(content, message), content
-    except FileFormatError as error:
-        return message.recorded_ns * 1e-9, error
-
-
-def _stamp_s(content: Any, message: BagMessage) -> float:
-    """Time from the header, or the recording time if the driver left it at zero."""
-    stamp = content.header.stamp
-    ns = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
-    return (ns or message.recorded_ns) * 1e-9
 
 
 def _gray(bag: BagSequence, row: int, content: Any) -> Callable[[], np.ndarray]:

@@ -52,6 +52,7 @@ class ReconstructKeywords(TypedDict, total=False):
     preemptive_min_matches: int
     exhaustive_limit: int
     neighbors: int
+    first_neighbors: int
     expansion: int
     overlap: int
     confidence: float

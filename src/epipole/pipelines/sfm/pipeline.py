@@ -172,19 +172,17 @@ def _match_and_map(
         config.matching,
         config.verification,
     )
+    matched, folder = (run.root / UNITS / f"{name}{suffix}" for name in ("matches", "geometry"))
     with run.stage("match"):
-        matches = _matches(todo, detected, run.root / UNITS / f"matches{suffix}")
+        matches = _matches(todo, detected, matched)
         run.do(matches, "match")
     num_features = [len(pixels) for pixels in detected.keypoints]
     rounds = PairRounds((todo,), (tuple(matches),))
     with run.stage("verify"):
-        folder = run.root / UNITS / f"geometry{suffix}"
         view_graph = rounds.verify(folder, run, num_features)
     with run.stage("expand" if detected.expansion or len(detected.later) else "verify"):
-        folders = (run.root / UNITS / f"matches{suffix}", folder)
-        rounds, view_graph = expand(
-            rounds, view_graph, folders, run, num_features, detected.later, detected.expansion
-        )
+        further = detected.later, detected.expansion
+        rounds, view_graph = expand(rounds, view_graph, (matched, folder), run, num_features, *further)
     with run.stage("verify"):
         images = _without_contradictions(images, view_graph, config)
         rounds = rounds.with_cameras(images.cameras, images.camera_of_image)

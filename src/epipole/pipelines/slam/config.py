@@ -184,9 +184,9 @@ class JobOptions:
     """Options of input and output."""
 
     sensor: Literal["auto", "mono", "stereo", "rgbd", "rig"] = "auto"
-    """Sensor to use; auto: depth, else a second camera, if there is one; rig: folders cam0, cam1, ... and a calibration."""
+    """Sensor to use; auto: depth, else a second camera, if there is one; rig: folders cam0, cam1, ... or a bag, and a calibration."""
     topics: str | None = None
-    """ROS bags: image topic; LEFT,RIGHT; or IMAGES,DEPTH (None: found by type and name)."""
+    """ROS bags: image topic; LEFT,RIGHT; IMAGES,DEPTH; or one per camera of a rig (None: found by type and name)."""
     start: int = 0
     """Number of frames to skip at the start."""
     stride: int = 1

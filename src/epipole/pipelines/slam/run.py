@@ -47,6 +47,7 @@ from epipole.pipelines.slam.sources.folder import FrameSource, open_sequence
 from epipole.pipelines.slam.sources.frame_stream import FrameStream
 from epipole.pipelines.slam.sources.intrinsics import FoundCamera, find_camera
 from epipole.pipelines.slam.sources.live_cameras import camera_indices, open_cameras
+from epipole.pipelines.slam.sources.rig_bag import open_rig_bag
 from epipole.pipelines.slam.sources.rig_folder import open_rig_folder
 from epipole.pipelines.slam.sources.streams import open_bag_frames, open_video_frames
 from epipole.runs import (
@@ -280,11 +281,11 @@ def _check_source(source: Path, job: SlamConfig) -> None:
     for path in job.map:
         require_map(path)
     check_anchor_files(job.anchors)
-    if job.sensor == "rig" and source.exists() and not source.is_dir():
-        raise ConfigError("sensor rig is for folders of images: cam0, cam1, ...")
+    if job.sensor == "rig" and source.exists() and not (source.is_dir() or is_bag(source)):
+        raise ConfigError("sensor rig is for folders of images (cam0, cam1, ...) and ROS bags")
     if job.topics and not is_bag(source):
         raise ConfigError("topics is for ROS bags (.bag, .db3, .mcap or the folder of a ROS 2 bag)")
-    if job.masks is not None and not source.is_dir():
+    if job.masks is not None and (is_bag(source) or not source.is_dir()):
         raise ConfigError("masks is for folders of images")
     cameras = camera_indices(source)
     if not is_bag(source) and (cameras or is_video(source)):
@@ -308,7 +309,7 @@ def _open_without_readout(
     source: Path, job: JobOptions, given: CameraOptions, found: FoundCamera | None
 ) -> FrameSource:
     if is_bag(source):
-        return open_bag_frames(source, job, given)
+        return (open_rig_bag if job.sensor == "rig" else open_bag_frames)(source, job, given)
     cameras = camera_indices(source)
     if cameras:
         is_pair = len(cameras) == 2 or job.sensor == "stereo"

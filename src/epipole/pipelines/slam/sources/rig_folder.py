@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from epipole.cameras import Camera
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.io.calibration.files import read_calibration
@@ -38,18 +39,7 @@ def open_rig_folder(folder: Path, job: JobOptions, given: CameraOptions) -> Fram
             the cameras' sizes.
         FileFormatError: the calibration or the folder cannot be read.
     """
-    if given.calibration is None:
-        raise ConfigError(
-            "sensor rig needs the cameras' intrinsics and poses: pass --calibration FILE, such as Kalibr's"
-        )
-    if given.camera_params or given.camera_model:
-        raise ConfigError(
-            "sensor rig takes all intrinsics from the calibration: omit camera_params and camera_model"
-        )
-    found = read_calibration(given.calibration)
-    if len(found.cameras) < 2:
-        raise ConfigError(f"{given.calibration} has one camera, but a rig has two or more")
-    rig = CameraRig(found.cameras, found.cam_from_rig)
+    rig = rig_of(given)
     sequence = read_rig_sequence(folder, len(rig.cameras), job.fps)
     _check_sizes(rig, sequence)
     names = [image_names(sequence, files) for files in sequence.frames]
@@ -83,6 +73,27 @@ def open_rig_folder(folder: Path, job: JobOptions, given: CameraOptions) -> Fram
     )
 
 
+def rig_of(given: CameraOptions) -> CameraRig:
+    """The cameras of a calibration file.
+
+    Raises:
+        ConfigError: there is no calibration, or one camera's parameters besides; or it has one camera only.
+        FileFormatError: the calibration cannot be read.
+    """
+    if given.calibration is None:
+        raise ConfigError(
+            "sensor rig needs the cameras' intrinsics and poses: pass --calibration FILE, such as Kalibr's"
+        )
+    if given.camera_params or given.camera_model:
+        raise ConfigError(
+            "sensor rig takes all intrinsics from the calibration: omit camera_params and camera_model"
+        )
+    found = read_calibration(given.calibration)
+    if len(found.cameras) < 2:
+        raise ConfigError(f"{given.calibration} has one camera, but a rig has two or more")
+    return CameraRig(found.cameras, found.cam_from_rig)
+
+
 def image_names(sequence: RigSequence, files: RigFiles) -> tuple[str, ...]:
     """Names of the images of one instant, relative to the folder."""
     return tuple(image.relative_to(sequence.folder).as_posix() for image in files.images)
@@ -104,8 +115,17 @@ def _check_sizes(rig: CameraRig, sequence: RigSequence) -> None:
     """Check the first readable image of each camera; damaged ones are reported when their frames are read."""
     for k, camera in enumerate(rig.cameras):
         header = _first_header([files.images[k] for files in sequence.frames[:MOST_DAMAGED]])
-        if header is not None and (header.width, header.height) != (camera.width, camera.height):
-            raise ConfigError(
-                f"the images of cam{k} are {header.width} x {header.height}, but the calibration is for {camera.width} x"
-                f" {camera.height}"
-            )
+        if header is not None:
+            check_size(f"cam{k}", (header.width, header.height), camera)
+
+
+def check_size(name: str, size: tuple[int, int], camera: Camera) -> None:
+    """Check that a camera's images have the size of its calibration.
+
+    Raises:
+        ConfigError: they do not.
+    """
+    if size != (camera.width, camera.height):
+        raise ConfigError(
+            f"the images of {name} are {size[0]} x {size[1]}, but the calibration is for {camera.width} x {camera.height}"
+        )

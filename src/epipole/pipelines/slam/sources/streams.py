@@ -60,7 +60,7 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
     rate = rate if 0 < rate < 1e4 else _USUAL_HZ
     intrinsics, notes = known
     end = "the video ends after {} of {} announced frames"
-    made, counted = of_one_camera(intrinsics), _Counted(count if is_counted else 0, end)
+    made, counted = of_one_camera(intrinsics), Counted(count if is_counted else 0, end)
 
     def frames() -> Generator[QueuedFrame, None, None]:
         video, seconds = opened_video(path), -1.0 / rate
@@ -95,7 +95,7 @@ def open_bag_frames(path: Path, job: JobOptions, given: CameraOptions) -> FrameS
     bag = read_bag(path, job.sensor, job.topic_names)
     made, factor = _preparation_of(bag, given), _depth_factor(bag, given)
     what = "could be read" if bag.sensor == "mono" else "have a matching time stamp in the other topic"
-    counted = _Counted(bag.num_frames, f"{{}} of {{}} frames of the bag {what}")
+    counted = Counted(bag.num_frames, f"{{}} of {{}} frames of the bag {what}")
 
     def frames() -> Generator[QueuedFrame, None, None]:
         for frame in bag_frames(bag):
@@ -110,7 +110,7 @@ def open_bag_frames(path: Path, job: JobOptions, given: CameraOptions) -> FrameS
     return FrameSource(made.camera, bag.num_frames, frames, made.body_from_camera, notes, about=about)
 
 
-class _Counted:
+class Counted:
     """Counts the frames and compares them with the announced number."""
 
     def __init__(self, announced: int, words: str) -> None:
