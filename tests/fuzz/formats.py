@@ -15,7 +15,6 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
-from bag_writing import Recorded
 from example_files import (
     BAL,
     CAMODOCAL,
@@ -44,6 +43,7 @@ from sealed_formats import SEALED
 from spz_writing import write_packed_whole, write_streams
 from test_io_colmap_database import PAIRS, make_contents
 
+from bag_writing import Recorded
 from epipole._checks.tables import TEXT, Expected
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, DegenerateGeometryError, EpipoleError
@@ -83,6 +83,7 @@ from epipole.io import (
 )
 from epipole.io.anchor_files import read_anchor_positions, read_lengths, read_odometry
 from epipole.io.bags.recording import bag_frames, read_bag, read_bag_imu, read_bag_topics
+from epipole.io.bags.rig_recording import bag_rig_frames, read_bag_rig
 from epipole.io.calibration.files import (
     read_body_from_camera,
     read_calibration,
@@ -280,13 +281,18 @@ def _bag(name: str) -> Callable[[Path], None]:
             assert np.isfinite(frame.timestamp_s)
             with suppress(EpipoleError):  # an image that is damaged is left out
                 assert frame.gray().ndim == 2
+        with suppress(ConfigError):  # a topic that is damaged
+            for frame in bag_rig_frames(read_bag_rig(path, 2)):
+                assert np.isfinite(frame.timestamp_s) and len(frame.grays) == 2
+                with suppress(EpipoleError):
+                    assert frame.grays[1]().ndim == 2
         assert np.isfinite(read_bag_imu(path).accel_m_s2).all()
 
     return read
 
 
 def _recording(kind: str, file: str, damage: str, compression: str = "") -> Format:
-    readers = ("read_bag", "read_bag_imu", "read_bag_topics")
+    readers = ("read_bag", "read_bag_imu", "read_bag_topics", "read_bag_rig")
     path = file.split("/")[0]
     return Format(_recorded(kind, compression), file, damage, _bag(path), readers, weight=0.4, may_ask=True)
 

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from bag_writing import Recorded
 from rosbags.highlevel import AnyReader
 
+from bag_writing import Recorded
 from epipole.cameras import Camera
 from epipole.config import RansacConfig
 from epipole.errors import ConfigError, FileFormatError, NoModelError, ShapeError
