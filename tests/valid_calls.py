@@ -692,6 +692,7 @@ def _mapping() -> Iterator[Row]:
     evidence = {"image1": first, "image2": first + 1, "weight": np.array([1.0, -1.0])}
     yield _row(mapping.cluster_images, num_images=3, **evidence)
     pairs = evidence | {"weight": np.array([1.0, 2.0])}
+    yield _row(mapping.connected_images, num_images=3, image1=first, image2=first + 1)
     yield _row(mapping.divide_images, num_images=3, **pairs, most=2)
     yield _row(mapping.nearest_outside, part=np.array([0]), num_images=3, **pairs, most=1)
     seen = {"image": np.array([0, 1, 2, 0, 1, 2]), "point": np.array([0, 0, 0, 1, 1, 1])}

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import sys
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -12,6 +11,7 @@ import cv2
 import numpy as np
 import yaml
 
+from bag_writing import Recorded
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
 from epipole.io import write_trajectory
@@ -21,9 +21,6 @@ from epipole.scene import Trajectory
 from epipole.synthetic import SyntheticScene, courtyard, look_at, render
 from epipole.synthetic.inertial import imu_along
 from epipole.synthetic.markers import chessboard_sheet, tag_sheet
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "io"))
-from bag_writing import Recorded
 
 LENS = Camera("PINHOLE", 640, 480, [500.0, 500.0, 319.5, 239.5])
 """`--camera-params 500,500,320,240`."""

@@ -7,8 +7,8 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from bag_writing import Recorded
 
+from bag_writing import Recorded
 from epipole.errors import FileFormatError
 from epipole.io.bags._unpacking import _ZSTD, bound_unpacking, unpacked
 from epipole.io.bags.recording import bag_frames, read_bag

@@ -5,8 +5,8 @@ import shutil
 
 import numpy as np
 import pytest
-from bag_writing import KINDS, Recorded, jpeg, png
 
+from bag_writing import KINDS, Recorded, jpeg, png
 from epipole.errors import ConfigError, FileFormatError, MissingDependencyError
 from epipole.io.bags._pairing import grouped, paired
 from epipole.io.bags.recording import bag_frames, is_bag, read_bag, read_bag_imu, read_bag_topics

@@ -39,7 +39,7 @@ def small_overlap(monkeypatch):
 
 def test_parts_overlap_and_number_their_own_images(long_ring, long_graph):
     mapper = mapper_of(long_ring, long_graph, IN_PARTS)
-    parts = divided(mapper, np.ones(30, bool))
+    parts = list(divided(mapper, np.ones(30, bool)))
     assert len(parts) >= 3 and sum(len(part.images) for part in parts) == 30 + 4 * len(parts)
     for part in parts:
         graph = part.view_graph

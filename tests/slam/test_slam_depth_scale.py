@@ -1,16 +1,11 @@
 """The unit of depth images: the summary states it and its source, and --depth-scale gives it."""
 
-import sys
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 from slam_rides import CAMERA, ride
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "io"))
 from bag_writing import Recorded
-
 from epipole.cli.main import main
 from epipole.errors import ConfigError
 from epipole.pipelines.slam.config import CameraOptions

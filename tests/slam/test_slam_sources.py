@@ -14,9 +14,7 @@ import numpy as np
 import pytest
 from slam_rides import BASELINE, CAMERA, MONO, ride
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "io"))
 from bag_writing import Recorded
-
 from epipole.cli.main import main
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3

@@ -10,6 +10,7 @@ from epipole.mapping.conflicting_points import ConflictingPoints as ConflictingP
 from epipole.mapping.conflicting_points import find_conflicting_points as find_conflicting_points
 from epipole.mapping.consistency import MatchConsistency as MatchConsistency
 from epipole.mapping.consistency import explained_matches as explained_matches
+from epipole.mapping.graph_cut import connected_images as connected_images
 from epipole.mapping.graph_cut import divide_images as divide_images
 from epipole.mapping.graph_cut import nearest_outside as nearest_outside
 from epipole.mapping.image_clusters import cluster_images as cluster_images

@@ -19,6 +19,21 @@ SHIFT = 1e-6
 
 
 @checked
+def connected_images(
+    num_images: int, image1: Int32[np.ndarray, " n"], image2: Int32[np.ndarray, " n"]
+) -> Int32[np.ndarray, " i"]:
+    """Number of the connected component of each image.
+
+    Raises:
+        ShapeError: an image does not exist.
+    """
+    check_indices(image1, "image1", num_images)
+    check_indices(image2, "image2", num_images)
+    pairs = coo_array((np.ones(len(image1)), (image1, image2)), shape=(num_images, num_images))
+    return np.asarray(connected_components(pairs, directed=False)[1], np.int32)
+
+
+@checked
 def divide_images(
     num_images: int,
     image1: Int32[np.ndarray, " n"],
@@ -42,7 +57,8 @@ def divide_images(
         Images of each part, sorted; images without a pair are in none.
 
     Raises:
-        ConfigError: an image, a weight or the size is invalid.
+        ShapeError: an image does not exist.
+        ConfigError: a weight or the size is invalid.
     """
     check_indices(image1, "image1", num_images)
     check_indices(image2, "image2", num_images)
@@ -53,8 +69,8 @@ def divide_images(
     shape = (num_images, num_images)
     upper = coo_array((weight, (image1, image2)), shape=shape).tocsr()
     adjacency = csr_array(upper + upper.T)
-    count, component = connected_components(adjacency, directed=False)
-    members = [np.flatnonzero(component == k) for k in range(count)]
+    component = connected_images(num_images, image1, image2)
+    members = [np.flatnonzero(component == k) for k in range(component.max(initial=-1) + 1)]
     waiting = sorted((rows for rows in members if len(rows) > 1), key=len)
     done = []
     with _parallel.single_threaded_blas():  # its sums depend on the number of threads
@@ -115,7 +131,7 @@ def nearest_outside(
     """The images outside a part with the strongest connection to it, at most `most`, strongest first.
 
     Raises:
-        ConfigError: an image is invalid.
+        ShapeError: an image does not exist.
     """
     for images, name in ((part, "part"), (image1, "image1"), (image2, "image2")):
         check_indices(images, name, num_images)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -55,19 +55,20 @@ class PartTask:
 def in_units(run: Run, folder: Path, config: MapperConfig) -> MapParts:
     """Maps parts as units of work of a run, each with a file in `folder`; the parts themselves are written to files meanwhile."""
 
-    def map_parts(parts: Sequence[Part]) -> list[MappedPart]:
+    def map_parts(parts: Iterable[Part]) -> list[MappedPart]:
         inputs = folder.with_name(f"{folder.name}-input")
-        units = []
-        for n, part in enumerate(parts):
+        units, images_of = [], []
+        for n, part in enumerate(parts):  # one at a time: each has a copy of its matches
             arrays, name = arrays_of_part(part), f"{n:05d}.npz"
             key = digest("map", FORMAT, asdict(config), *(arrays[name] for name in sorted(arrays)))
             task = PartTask(inputs / name, config)
             units.append(Unit(folder / name, key, map_part_in_file, task, size=len(part.images)))
+            images_of.append(part.images)
             if not is_done(units[-1].path, key):
                 store(task.file, key, arrays)
         run.do(units, "parts")
         shutil.rmtree(inputs, ignore_errors=True)
-        return [_poses_in(unit.path, part) for unit, part in zip(units, parts)]
+        return [_poses_in(unit.path, images) for unit, images in zip(units, images_of)]
 
     return map_parts
 
@@ -83,14 +84,15 @@ def map_part_in_file(task: PartTask) -> Arrays:
     }
 
 
-def _poses_in(path: Path, part: Part) -> MappedPart:
-    """Read the poses of a part.
+def _poses_in(path: Path, images: np.ndarray) -> MappedPart:
+    """Read the poses of a part with these images.
 
     Raises:
         WorkspaceError: the file is damaged.
     """
-    found = load(path, POSES, n=len(part.images), c=len(part.cameras))
-    return MappedPart(found["image"], Rigid3(found["rotation"], found["translation"]), found["params"])
+    found = load(path, POSES, n=len(images))
+    poses = Rigid3(found["rotation"], found["translation"])
+    return MappedPart(images[found["image"]], poses, found["params"])
 
 
 def arrays_of_part(part: Part) -> Arrays:

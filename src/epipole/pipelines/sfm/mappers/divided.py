@@ -6,14 +6,14 @@ that they have in common (`joining.py`), like finished models; the images of a p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Int32, Int64
+from jaxtyping import Bool, Float64, Int32, Int64
 
 from epipole.geometry import Rigid3
-from epipole.mapping import ModelBuilder, connect_matches, divide_images, nearest_outside
+from epipole.mapping import ModelBuilder, connect_matches, connected_images, divide_images, nearest_outside
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.mappers.choice import map_with
 from epipole.pipelines.sfm.mappers.growth import LEAST_IMAGES, Start, grow_model
@@ -44,23 +44,23 @@ class MappedPart:
     """The poses of a part's largest model."""
 
     images: Int64[np.ndarray, " n"]
-    """Registered images, numbered within the part."""
+    """Rows of the registered images among all images."""
     cams_from_world: Rigid3
-    params: np.ndarray
-    """Refined intrinsics of all cameras, padded."""
+    params: Float64[np.ndarray, "c 12"]
+    """Refined intrinsics of all cameras."""
 
 
-MapParts = Callable[[Sequence[Part]], Sequence[MappedPart]]
+MapParts = Callable[[Iterable[Part]], Sequence[MappedPart]]
 """Maps parts in any order, here or elsewhere."""
 
 
 def map_divided(
     mapper: IncrementalMapper,
-    usable: np.ndarray,
+    usable: Bool[np.ndarray, " n"],
     map_parts: MapParts | None = None,
     progress: Progress = ignore_progress,
 ) -> bool:
-    """Map the usable images in parts of at most `part_images`, without the overlap; False if no part has a model.
+    """Map the most usable images that matches connect, in parts of `part_images` and an overlap; False if no part has a model.
 
     Args:
         mapper: an incremental mapper, which has the model, the pairs and the options.
@@ -70,23 +70,22 @@ def map_divided(
     """
     parts = divided(mapper, usable)
     found = map_parts(parts) if map_parts is not None else [map_part(part, mapper.config) for part in parts]
-    starts = [_start_of(part, one) for part, one in zip(parts, found) if len(one.images) >= LEAST_IMAGES]
+    starts = [_start_of(one, mapper.model) for one in found if len(one.images) >= LEAST_IMAGES]
     starts.sort(key=lambda start: -len(start.cams_from_world))
     return bool(starts) and grow_model(mapper, starts, usable, progress)
 
 
-def divided(mapper: IncrementalMapper, usable: np.ndarray) -> list[Part]:
-    """Overlapping parts of the usable images."""
+def divided(mapper: IncrementalMapper, usable: Bool[np.ndarray, " n"]) -> Iterator[Part]:
+    """Overlapping parts of the largest connected component of the usable images; each has a copy of its matches."""
     graph, model = mapper.view_graph, mapper.model
     graph = graph.select(usable[graph.image1] & usable[graph.image2] & (graph.num_inliers() > 0))
-    num_images, weight = len(usable), graph.num_inliers().astype(np.float64)
-    pairs = graph.image1, graph.image2, weight
-    out = []
-    for own in divide_images(num_images, *pairs, mapper.config.part_images):
+    component = connected_images(len(usable), graph.image1, graph.image2)
+    graph = graph.select(component[graph.image1] == np.argmax(np.bincount(component, usable)))
+    pairs = graph.image1, graph.image2, graph.num_inliers().astype(np.float64)
+    for own in divide_images(len(usable), *pairs, mapper.config.part_images):
         most = max(LEAST_OVERLAP, int(OVERLAP * len(own)))
-        images = np.sort(np.concatenate([own, nearest_outside(own, num_images, *pairs, most)]))
-        out.append(_part_of(images, graph, model))
-    return out
+        images = np.sort(np.concatenate([own, nearest_outside(own, len(usable), *pairs, most)]))
+        yield _part_of(images, graph, model)
 
 
 def _part_of(images: np.ndarray, graph: ViewGraph, model: ModelBuilder) -> Part:
@@ -112,12 +111,11 @@ def map_part(part: Part, config: MapperConfig) -> MappedPart:
     registered = np.flatnonzero(model.registered) if is_mapped else np.zeros(0, np.int64)
     motion = model.motion[registered]
     poses = Rigid3(motion[:, :9].reshape(-1, 3, 3), motion[:, 9:])
-    return MappedPart(registered.astype(np.int64), poses, model.params.copy())
+    return MappedPart(part.images[registered], poses, model.params.copy())
 
 
-def _start_of(part: Part, found: MappedPart) -> Start:
-    rows = part.images[found.images].tolist()
-    used = np.unique(part.camera_of_image[found.images]).tolist()
-    cameras = replace(part.cameras, params=found.params)
-    poses = {row: found.cams_from_world[k] for k, row in enumerate(rows)}
+def _start_of(found: MappedPart, model: ModelBuilder) -> Start:
+    cameras = replace(model.cameras, params=found.params)
+    used = np.unique(model.camera_of_image[found.images]).tolist()
+    poses = {row: found.cams_from_world[k] for k, row in enumerate(found.images.tolist())}
     return Start(poses, {camera: cameras[camera] for camera in used})
