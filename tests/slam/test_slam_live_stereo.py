@@ -11,6 +11,7 @@ from slam_rides import BASELINE, CAMERA, RIGHT_FROM_LEFT, ride
 from epipole.errors import ConfigError, EpipoleError
 from epipole.geometry import Rigid3
 from epipole.io.calibration.files import CalibrationFile, write_calibration
+from epipole.io.images.video_files import write_video
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.run import slam as run_slam
@@ -122,6 +123,23 @@ def test_a_camera_delivers_both_images_side_by_side(tmp_path, rig_file, monkeypa
     assert error_m(result) < 0.02
     assert result.summary["source"]["layout"] == "side by side" and camera.is_released
     assert abs(np.linalg.norm(RIGHT_FROM_LEFT.translation) - BASELINE) < 1e-12
+
+
+def test_a_video_has_both_images_side_by_side(tmp_path, rig_file):
+    both = [np.hstack([left, right]) for left, right in zip(ride().left[:COUNT], ride().right[:COUNT])]
+    write_video(tmp_path / "ride.mp4", [np.repeat(image[..., None], 3, axis=2) for image in both], 10.0)
+    result = run_slam(tmp_path / "ride.mp4", tmp_path / "out", sensor="stereo", calibration=rig_file)
+    assert result.summary["num_localized"] == COUNT and result.summary["is_metric"]
+    assert error_m(result) < 0.02
+    assert result.summary["source"]["sensor"] == "stereo"
+    with pytest.raises(ConfigError, match="pass a calibration of both"):
+        run_slam(tmp_path / "ride.mp4", tmp_path / "none", sensor="stereo")
+    halves = [np.repeat(image[..., None], 3, axis=2) for image in ride().left[:COUNT]]
+    write_video(tmp_path / "one.mp4", halves, 10.0)
+    with pytest.raises(EpipoleError, match="but the image is 160x240"):
+        run_slam(tmp_path / "one.mp4", tmp_path / "one", sensor="stereo", calibration=rig_file)
+    with pytest.raises(ConfigError, match="a video has no depth"):
+        run_slam(tmp_path / "one.mp4", tmp_path / "rgbd", sensor="rgbd", calibration=rig_file)
 
 
 def test_what_is_no_pair_is_refused_and_released(tmp_path, rig_file, monkeypatch):

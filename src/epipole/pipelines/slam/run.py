@@ -67,7 +67,10 @@ from epipole.scale import Anchoring, check_anchor_files, mounted_imu
 FILES = ("truth", "masks", "record", *ANCHOR_FILES)
 """Options that name a file."""
 _SENSORS = (
-    (("auto", "mono"), "a video has one camera: sensor must be auto or mono"),
+    (
+        ("auto", "mono", "stereo"),
+        "a video has no depth: sensor must be auto, mono, or stereo for two images side by side",
+    ),
     (
         ("auto", "mono", "stereo"),
         "a live camera has no depth: sensor must be auto, mono, or stereo for two images side by side",
@@ -315,7 +318,8 @@ def _open_without_readout(
         is_pair = len(cameras) == 2 or job.sensor == "stereo"
         return open_cameras(cameras, "stereo" if is_pair else "mono", given)
     if is_video(source):
-        frames = open_video_frames(source, given, None if found is None else found.camera)
+        camera, is_pair = None if found is None else found.camera, job.sensor == "stereo"
+        frames = open_video_frames(source, given, camera, is_pair=is_pair)
     else:
         frames = _open_folder(source, job, given, None if found is None else found.camera)
     return frames if found is None else replace(frames, about={**frames.about, "camera_source": found.source})

@@ -131,6 +131,8 @@ def find_camera(
 
 def _images(source: Path, job: JobOptions) -> _Images | None:
     """The images of a video or a folder; None if the folder has a calibration, or more than one camera is used."""
+    if is_video(source) and job.sensor == "stereo":
+        return None
     if is_video(source):
         return _Images(count_frames(source)[0], _of_video(opened_video(source)))
     sequence = read_sequence(source, job.fps)

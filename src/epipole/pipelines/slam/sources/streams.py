@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,16 +32,19 @@ _WHOLE = 0.98
 """Fraction of the announced frames from which on a video or bag counts as complete: containers round the number."""
 
 
-def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = None) -> FrameSource:
+def open_video_frames(
+    path: Path, given: CameraOptions, found: Camera | None = None, *, is_pair: bool = False
+) -> FrameSource:
     """Open the frames of a video.
 
     Args:
         path: the file.
         given: given camera options.
         found: the camera, if it was estimated from the images.
+        is_pair: whether each frame has the left and the right image side by side.
 
     Raises:
-        ConfigError: the intrinsics are unknown.
+        ConfigError: the intrinsics are unknown, or the calibration is not that of the halves.
         FileFormatError: the file is not a video, or none of its frames can be read.
     """
     capture = opened_video(path)
@@ -52,15 +55,12 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
     if not is_read:
         raise FileFormatError(path, "no frame of the video can be decoded")
     shape = ImageShape(first.shape[1], first.shape[0], frame_orientation(path))
-    known = (found, []) if found else given.fitted_camera(shape)
-    if known is None:
-        raise ConfigError(
-            "unknown camera intrinsics of the video: pass camera_params (fx,fy,cx,cy) or a calibration"
-        )
+    made, notes = (
+        _of_halves(path, first, given) if is_pair else _of_video(given, (found, []) if found else None, shape)
+    )
     rate = rate if 0 < rate < 1e4 else _USUAL_HZ
-    intrinsics, notes = known
     end = "the video ends after {} of {} announced frames"
-    made, counted = of_one_camera(intrinsics), Counted(count if is_counted else 0, end)
+    counted = Counted(count if is_counted else 0, end)
 
     def frames() -> Generator[QueuedFrame, None, None]:
         video, seconds = opened_video(path), -1.0 / rate
@@ -72,7 +72,8 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
                     return
                 position_s = video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
                 seconds = position_s if position_s > seconds and counted.num else seconds + 1.0 / rate
-                yield _queued(counted.num, seconds, partial(_of_color, made, seconds, image))
+                images = np.array_split(image, 2, axis=1) if is_pair else [image]
+                yield _queued(counted.num, seconds, partial(_of_color, made, seconds, images))
                 counted.num += 1
         finally:
             video.release()
@@ -80,8 +81,33 @@ def open_video_frames(path: Path, given: CameraOptions, found: Camera | None = N
     def all_notes() -> list[str]:
         return [*notes, *counted.notes()]
 
-    about = {"layout": "video", "sensor": "mono", "camera_source": _GIVEN}
+    about = {"layout": "video", "sensor": "stereo" if is_pair else "mono", "camera_source": _GIVEN}
     return FrameSource(made.camera, max(count, 1), frames, made.body_from_camera, all_notes, about=about)
+
+
+def _of_video(
+    given: CameraOptions, found: tuple[Camera, list[str]] | None, shape: ImageShape
+) -> tuple[Preparation, list[str]]:
+    intrinsics = found or given.fitted_camera(shape)
+    if intrinsics is None:
+        raise ConfigError(
+            "unknown camera intrinsics of the video: pass camera_params (fx,fy,cx,cy) or a calibration"
+        )
+    return of_one_camera(intrinsics[0]), intrinsics[1]
+
+
+def _of_halves(path: Path, image: np.ndarray, given: CameraOptions) -> tuple[Preparation, list[str]]:
+    height, width = image.shape[:2]
+    if width % 2:
+        raise ConfigError(
+            f"{path} is {width} pixels wide: it does not have two images of one size side by side"
+        )
+    rig = given.rig((width // 2, height))
+    if rig is None:
+        raise ConfigError(
+            "a video with two images side by side needs the geometry of the cameras: pass a calibration of both"
+        )
+    return of_pair(rig), []
 
 
 def open_bag_frames(path: Path, job: JobOptions, given: CameraOptions) -> FrameSource:
@@ -177,6 +203,6 @@ def _about_bag(bag: BagSequence, given: CameraOptions) -> dict[str, Any]:
     return out
 
 
-def _of_color(made: Preparation, seconds: float, image: np.ndarray) -> Frame:
-    gray = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    return made.frame(seconds, gray)
+def _of_color(made: Preparation, seconds: float, images: Sequence[np.ndarray]) -> Frame:
+    grays = (image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) for image in images)
+    return made.frame(seconds, *map(np.ascontiguousarray, grays))
