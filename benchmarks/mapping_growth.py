@@ -69,12 +69,13 @@ def map_task(task: StreetTask, config: MapperConfig) -> Separation:
     return map_apart(task.view_graph, map_pairs, matched)
 
 
-def measure(num_images: int) -> dict[str, Any]:
-    """Map one size: time, memory, and distance of the images from their true positions."""
+def measure(num_images: int, part_images: int | None) -> dict[str, Any]:
+    """Map one size, as a whole or in parts: time, memory, and distance of the images from their true positions."""
     task = street_task(num_images)
+    config = MapperConfig() if part_images is None else MapperConfig(divide_above=1, part_images=part_images)
     warm_up()
     start = perf_counter()
-    models = map_task(task, MapperConfig()).last.mapped.models
+    models = map_task(task, config).last.mapped.models
     seconds = perf_counter() - start
     rows = np.flatnonzero(models[0].is_registered())
     found, truth = models[0].camera_centers_in_world()[rows], task.cams_from_world.centers()[rows]
@@ -92,8 +93,8 @@ def measure(num_images: int) -> dict[str, Any]:
     }
 
 
-def _serve(num_images: int, connection: Any) -> None:
-    connection.send(measure(num_images))
+def _serve(num_images: int, part_images: int | None, connection: Any) -> None:
+    connection.send(measure(num_images, part_images))
 
 
 def exponent(rows: list[dict[str, Any]]) -> float:
@@ -106,6 +107,7 @@ def main() -> None:
     """Map the sizes, print the table and write the results."""
     parser = argparse.ArgumentParser(description="Mapping of drives of different lengths.")
     parser.add_argument("--images", type=int, nargs="+", default=SIZES)
+    parser.add_argument("--part-images", type=int, help="map in parts of this size; no results are written")
     arguments = parser.parse_args()
     context, rows = get_context("spawn"), []
     columns = (
@@ -124,7 +126,7 @@ def main() -> None:
         table.add_column(column, justify="right")
     for num_images in arguments.images:
         ours, theirs = context.Pipe(duplex=False)
-        process = context.Process(target=_serve, args=(num_images, theirs))
+        process = context.Process(target=_serve, args=(num_images, arguments.part_images, theirs))
         process.start()
         theirs.close()
         row = ours.recv()
@@ -139,7 +141,8 @@ def main() -> None:
     if len(rows) > 1:
         found["exponent"] = exponent(rows)
     file = REPOSITORY / "benchmarks" / "results" / "mapping_growth.json"
-    file.write_text(json.dumps(found, indent=1) + "\n")
+    if arguments.part_images is None:
+        file.write_text(json.dumps(found, indent=1) + "\n")
     console = Console(width=120)
     console.print(table)
     if len(rows) > 1:
