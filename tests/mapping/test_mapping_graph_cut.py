@@ -45,6 +45,8 @@ def test_the_nearest_images_outside_have_the_strongest_connection():
     found = nearest_outside(np.arange(10), 20, *chain(20, 5), most=3)
     assert found.tolist() == [10, 11, 12]
     assert nearest_outside(np.arange(20), 20, *chain(20, 5), most=3).tolist() == []
+    assert nearest_outside(np.arange(15, 20), 20, *chain(20, 5), most=3).tolist() == [14, 13, 12]
+    assert nearest_outside(np.arange(20), 20, *(column[:0] for column in chain(20, 5)), most=3).tolist() == []
 
 
 @pytest.mark.parametrize("weight", [0.0, -1.0, np.nan, np.inf])

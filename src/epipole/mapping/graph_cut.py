@@ -137,8 +137,9 @@ def nearest_outside(
         check_indices(images, name, num_images)
     inside = np.zeros(num_images, bool)
     inside[part] = True
-    strength = np.bincount(image1[inside[image2]], weight[inside[image2]], num_images)
-    strength += np.bincount(image2[inside[image1]], weight[inside[image1]], num_images)
+    strength = np.zeros(num_images)
+    np.add.at(strength, image1[inside[image2]], weight[inside[image2]])
+    np.add.at(strength, image2[inside[image1]], weight[inside[image1]])
     strength[inside] = 0.0
     order = np.argsort(-strength, kind="stable")[: max(most, 0)]
     return order[strength[order] > 0.0]
