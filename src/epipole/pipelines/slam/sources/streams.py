@@ -56,7 +56,9 @@ def open_video_frames(
         raise FileFormatError(path, "no frame of the video can be decoded")
     shape = ImageShape(first.shape[1], first.shape[0], frame_orientation(path))
     made, notes = (
-        _of_both_views(path, first, given) if is_pair else _of_video(given, (found, []) if found else None, shape)
+        _of_both_views(path, first, given)
+        if is_pair
+        else _of_video(given, (found, []) if found else None, shape)
     )
     rate = rate if 0 < rate < 1e4 else _USUAL_HZ
     end = "the video ends after {} of {} announced frames"
