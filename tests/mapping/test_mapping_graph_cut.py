@@ -34,6 +34,13 @@ def test_groups_are_not_cut_through(rng):
     assert [len(part) for part in parts] == [60, 50, 40, 30]
 
 
+def test_a_cut_may_leave_images_without_a_pair():
+    """Every pair of a star has its center: one side of each cut has no pair at all."""
+    center, others = np.zeros(40, np.int32), np.arange(1, 41, dtype=np.int32)
+    parts = divide_images(41, center, others, np.linspace(1.0, 2.0, 40), most=10)
+    assert len(parts) == 1 and 0 in parts[0] and len(parts[0]) <= 10
+
+
 def test_components_stay_apart_and_single_images_are_in_none():
     pairs = np.array([[0, 1], [1, 2], [4, 5]], np.int32).T.copy()
     parts = divide_images(6, *pairs, np.ones(3), most=10)

@@ -54,7 +54,7 @@ def divide_images(
         most: largest size of a part; at least 2.
 
     Returns:
-        Images of each part, sorted; images without a pair are in none.
+        Images of each part, sorted and connected by its pairs. Images without a pair are in none, nor are those that a cut leaves without one.
 
     Raises:
         ShapeError: an image does not exist.
@@ -69,9 +69,7 @@ def divide_images(
     shape = (num_images, num_images)
     upper = coo_array((weight, (image1, image2)), shape=shape).tocsr()
     adjacency = csr_array(upper + upper.T)
-    component = connected_images(num_images, image1, image2)
-    members = [np.flatnonzero(component == k) for k in range(component.max(initial=-1) + 1)]
-    waiting = sorted((rows for rows in members if len(rows) > 1), key=len)
+    waiting = _components(adjacency, np.arange(num_images))
     done = []
     with _parallel.single_threaded_blas():  # its sums depend on the number of threads
         while waiting:
@@ -80,10 +78,17 @@ def divide_images(
                 done.append(rows)
                 continue
             first = _bisect(csr_array(adjacency[rows][:, rows]))
-            waiting += [rows[~first], rows[first]]
+            waiting += [*_components(adjacency, rows[~first]), *_components(adjacency, rows[first])]
     return tuple(
         np.sort(rows).astype(np.int64) for rows in sorted(done, key=lambda rows: (-len(rows), rows[0]))
     )
+
+
+def _components(adjacency: csr_array, rows: np.ndarray) -> list[np.ndarray]:
+    """The connected components of some images, smallest first, without single images: a cut may leave a side in pieces."""
+    component = connected_components(adjacency[rows][:, rows], directed=False)[1]
+    members = [rows[component == k] for k in range(component.max(initial=-1) + 1)]
+    return sorted((one for one in members if len(one) > 1), key=len)
 
 
 def _bisect(adjacency: csr_array) -> np.ndarray:

@@ -30,15 +30,13 @@ def open_rig_bag(path: Path, job: JobOptions, given: CameraOptions) -> FrameSour
     for topic, size, camera in zip(bag.topics, bag.sizes, rig.cameras):
         check_size(topic, size, camera)
     counted = Counted(bag.num_frames, "{} of {} frames of the bag have a matching time stamp in all topics")
-    names = [
-        tuple(f"cam{k}/frame_{n:06d}.jpg" for k in range(len(rig.cameras))) for n in range(bag.num_frames)
-    ]
+    names: dict[str, tuple[str, ...]] = {}
 
     def frames() -> Generator[QueuedFrame, None, None]:
         for frame in bag_rig_frames(bag):
-            yield QueuedFrame(
-                counted.num, frame.timestamp_s, names[counted.num][0], partial(_frame, frame, rig)
-            )
+            row = tuple(f"cam{k}/frame_{counted.num:06d}.jpg" for k in range(len(rig.cameras)))
+            names[row[0]] = row  # the number of messages in a bag's index may be wrong
+            yield QueuedFrame(counted.num, frame.timestamp_s, row[0], partial(_frame, frame, rig))
             counted.num += 1
         counted.is_over = True
 
@@ -48,7 +46,7 @@ def open_rig_bag(path: Path, job: JobOptions, given: CameraOptions) -> FrameSour
         frames,
         Rigid3.identity(),
         lambda: [*bag.warnings, *counted.notes()],
-        rig_names={row[0]: row for row in names},
+        rig_names=names,
         about={"layout": "ROS", "sensor": "rig", "camera_source": "given"},
     )
 
