@@ -33,6 +33,8 @@ HALF_STREET_M, SIGHT_M, BEHIND_M = 6.0, 180.0, 25.0
 """From the center line to the facades; how far ahead and behind the camera things are rendered."""
 CROSSING_M = (60.0, 100.0)
 """Range of the distance between side streets."""
+STREET_SEED = 3
+"""Of the houses, cars and trees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,14 +64,17 @@ class _Plan:
     is_located: bool = False
 
 
-def prepare_set(name: str, num_images: int, folder: Path) -> RenderedSet:
-    """Write the images of a set of `SETS` to a folder below `folder`, unless they are there."""
+def prepare_set(name: str, num_images: int, folder: Path, seed: int = STREET_SEED) -> RenderedSet:
+    """Write the images of a set of `SETS` to a folder below `folder`, unless they are there.
+
+    Each seed is another street.
+    """
     from time import perf_counter
 
-    at = folder / f"{name}_{num_images}"
+    at = folder / (f"{name}_{num_images}" if seed == STREET_SEED else f"{name}_{num_images}_seed_{seed}")
     images, truth = at / "images", at / "truth.npz"
     names = tuple(f"frame_{k:04d}.jpg" for k in range(num_images))
-    plan = SETS[name](num_images)
+    plan = SETS[name](num_images, seed)
     lat_lon_alt = _lat_lon_alt(plan.cams_from_world.centers()) if plan.is_located else None
     if not truth.is_file():  # written last
         images.mkdir(parents=True, exist_ok=True)
@@ -119,16 +124,16 @@ def enu_about(lat_lon_alt: np.ndarray, origin: np.ndarray) -> np.ndarray:
     return Georeference(*origin.tolist()).enu_of(lat_lon_alt)
 
 
-def _room_plan(num_images: int) -> _Plan:
+def _room_plan(num_images: int, _seed: int) -> _Plan:
     ride = loop_room(num_frames=num_images, size=(WIDTH, HEIGHT))
     scene = ride.scene_at(0.0)
     return _Plan(ride.camera, ride.world_from_camera.inverse(), lambda _: scene)
 
 
-def _street_plan(num_images: int) -> _Plan:
+def _street_plan(num_images: int, seed: int) -> _Plan:
     """One image a meter along the street."""
     camera = Camera("PINHOLE", WIDTH, HEIGHT, [FOCAL_PX, FOCAL_PX, (WIDTH - 1) / 2, (HEIGHT - 1) / 2])
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed)
     length_m = num_images + SIGHT_M
     center_line = _CenterLine(length_m)
     ground = center_line.ground()
@@ -259,4 +264,4 @@ def _trees(center_line: _CenterLine, rng: np.random.Generator) -> list[tuple[flo
     return out
 
 
-SETS: dict[str, Callable[[int], _Plan]] = {"loop_room": _room_plan, "street": _street_plan}
+SETS: dict[str, Callable[[int, int], _Plan]] = {"loop_room": _room_plan, "street": _street_plan}

@@ -174,6 +174,8 @@ def fit_known_poses(cams_from_model: Rigid3, known: KnownPoses, seed: int) -> Po
         found = _similarity(mine[three], theirs[three], known)
         if found is not None and (count := int(_agrees(cams_from_model, known, found).sum())) > most:
             best, most = found, count
+            if most == len(rows):
+                break
     if best is None or most < max(LEAST, LEAST_FRACTION * len(rows)):
         return None
     for _ in range(ROUNDS):
