@@ -6,7 +6,7 @@
   is in both. Each seed is another street.
 
 Errors are those of the camera centers after a similarity to the true poses. A street has no loop, so its error is the sum of many small
-random ones, and a single ratio of two such errors is of little use: look at the median of several streets.
+random ones, and a single ratio of two such errors is of little use: the RMS over several streets is compared.
 """
 
 from __future__ import annotations
@@ -124,6 +124,19 @@ def measure(task: MergeTask, at: Path) -> dict[str, float]:
     }
 
 
+def in_words(streets: list[dict[str, float]]) -> str:
+    """Ratio of the errors of all streets together, and of single ones."""
+    whole, merged = (
+        float(np.sqrt(np.mean([row[f"{kind}, error in % of the extent"] ** 2 for row in streets])))
+        for kind in ("whole", "merged")
+    )
+    ratios = [row["ratio of the errors"] for row in streets]
+    return (
+        f"RMS over {len(streets)} streets: {whole:.4f} % (whole), {merged:.4f} % (merged), ratio {merged / whole:.3f}; "
+        f"ratios of single streets {min(ratios):.2f} to {max(ratios):.2f}, median {np.median(ratios):.2f}"
+    )
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(
@@ -146,11 +159,9 @@ def main() -> None:
     for key in next(iter(rows.values())):
         table.add_row(key, *(f"{row[key]:.4g}" for row in rows.values()))
     Console().print(table)
-    ratios = [row["ratio of the errors"] for name, row in rows.items() if name.startswith("street")]
-    if ratios:
-        Console().print(
-            f"Streets: median ratio {np.median(ratios):.3f}, {min(ratios):.3f} to {max(ratios):.3f}"
-        )
+    streets = [row for name, row in rows.items() if name.startswith("street")]
+    if streets:
+        Console().print(in_words(streets))
     out = REPOSITORY / "benchmarks" / "results" / "merged_models.json"
     out.write_text(
         json.dumps({"machine": describe_machine(2), "sets": rows}, indent=1) + "\n", encoding="utf-8"

@@ -54,3 +54,15 @@ def test_slam_itself_is_unchanged(monkeypatch):
     system = Slam(CAMERAS["depth"])
     system.warm_up()
     assert not system.map.keyframes and system.state == Slam(CAMERAS["depth"]).state
+
+
+def test_the_imu_moves_as_the_camera_does(monkeypatch):
+    """Kernels of alignment and factors are reached, and the motion observes what they estimate."""
+    found = []
+    aligned = warm_up.align_path_to_imu
+    monkeypatch.setattr(
+        warm_up, "align_path_to_imu", lambda *a, **k: found.append(aligned(*a, **k)) or found[-1]
+    )
+    warm_up.warm_up_imu.__wrapped__()
+    np.testing.assert_allclose(found[0].gravity_in_world, [0.0, 0.0, -9.81], atol=0.05)
+    assert abs(found[0].scale - 1.0) < 0.01

@@ -10,6 +10,7 @@ import scipy.sparse
 
 from epipole.geometry import Rigid3, Rotation3, skew
 from epipole.geometry.tangents import inverse_right_jacobian
+from epipole.inertial import _imu_kernels as kernels
 from epipole.inertial.log import ImuNoise
 from epipole.inertial.preintegration import Preintegrated
 
@@ -64,11 +65,15 @@ class InertialProblem:
 
     def cost(self, states: States) -> float:
         """Half the sum of squares."""
-        return 0.5 * sum(float((terms.residual**2).sum()) for terms in self._terms(states))
+        return 0.5 * sum(
+            float((terms.residual**2).sum()) for terms in self._terms(states, differentiate=False)
+        )
 
     def misfit(self, states: States) -> float:
         """Square root of chi^2 per degree of freedom."""
-        count = sum(terms.residual.size for terms in self._terms(states)) - int(not self.is_metric)
+        count = sum(terms.residual.size for terms in self._terms(states, differentiate=False)) - int(
+            not self.is_metric
+        )
         return float(np.sqrt(2.0 * self.cost(states) / max(count - self.scale_column - 3, 1)))
 
     def moved(self, states: States, step: np.ndarray) -> States:
@@ -129,60 +134,44 @@ class InertialProblem:
         entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
         return scipy.sparse.coo_matrix(entries, shape=(m * r, self.scale_column + 3))
 
-    def _terms(self, states: States) -> list[Terms]:
-        imu, walk, first, scale = self.imu_terms(states)
+    def _terms(self, states: States, *, differentiate: bool = True) -> list[Terms]:
+        imu, walk, first, scale = self.imu_terms(states, differentiate=differentiate)
         return [imu, walk, self._of_poses(states), self._of_rotations(states), first, scale]
 
-    def imu_terms(self, states: States) -> list[Terms]:
-        """Terms that poses do not enter: measurements, bias random walk, and the priors of the first bias and of the scale."""
+    def imu_terms(self, states: States, *, differentiate: bool = True) -> list[Terms]:
+        """Terms that poses do not enter: measurements, bias random walk, and the priors of the first bias and of the scale.
+
+        Without `differentiate`, the measurements have no Jacobian blocks.
+        """
         return [
-            self._of_imu(states),
+            self._of_imu(states, differentiate=differentiate),
             self._of_walk(states),
             self._of_first_bias(states),
             self._of_scale(states),
         ]
 
-    def _of_imu(self, states: States) -> Terms:
+    def _of_imu(self, states: States, *, differentiate: bool = True) -> Terms:
         """Equations 45 of Forster et al. 2017, and their derivatives (A.21 to A.33)."""
-        data, dt = self.measured, self.measured.seconds[:, None]
-        first = LANES * np.arange(len(dt))
-        change = states.bias[:-1] - np.concatenate([self.integrated_at, np.zeros(3)])
-        rotated, gained, went = data.at_biases(change)
-        back = np.swapaxes(states.rotation[:-1], 1, 2)
-        faster = states.velocity[1:] - states.velocity[:-1] - states.gravity * dt
-        further = (
-            states.position[1:]
-            - states.position[:-1]
-            - states.velocity[:-1] * dt
-            - 0.5 * states.gravity * dt**2
+        data, m = self.measured, len(self.measured.seconds)
+        used = np.concatenate([self.integrated_at, np.zeros(3)])
+        measured = (
+            data.seconds,
+            data.rotation,
+            data.velocity,
+            data.position,
+            data.by_bias,
+            used,
+            self.whitening,
         )
-        there = back @ states.rotation[1:]
-        off = Rotation3(np.swapaxes(rotated, 1, 2) @ there).log()
-        by_speed, by_position = (back @ faster[..., None])[..., 0], (back @ further[..., None])[..., 0]
-        residual = np.concatenate([off, by_speed - gained, by_position - went], axis=1)
-        root, m = self.whitening, len(dt)
-        here, next_one = np.zeros((m, 9, LANES)), np.zeros((m, 9, 9))
-        right = _of_rotation(off)
-        here[:, :3, :3] = -right @ np.swapaxes(there, 1, 2)
-        here[:, 3:6, :3], here[:, 6:, :3] = skew(by_speed), skew(by_position)
-        here[:, 3:6, 3:6], here[:, 6:, 3:6] = -back, -back * dt[..., None]
-        here[:, 6:, 6:9] = -back
-        here[:, 3:, 9:] = -data.by_bias[:, 3:]
-        # The rotation correction exp(c) comes first: -J_r^-1(r) exp(r)^T J_r(c) dc/db.
-        corrected = (data.by_bias[:, :3] @ change[..., None])[..., 0]
-        by_bias = np.linalg.solve(_of_rotation(corrected), data.by_bias[:, :3])
-        here[:, :3, 9:] = -right @ np.swapaxes(Rotation3.exp(off).matrix, 1, 2) @ by_bias
-        next_one[:, :3, :3] = right
-        next_one[:, 3:6, 3:6] = next_one[:, 6:, 6:9] = back
-        by_gravity = np.zeros((m, 9, 3))
+        own = tuple(np.ascontiguousarray(one) for one in states[:4])
         tilt = -skew(states.gravity) @ across_gravity(states.gravity)
-        moved = np.concatenate(
-            [self.is_metric * states.gravity[:, None], tilt], axis=1
-        )  # by scale and rotation
-        by_gravity[:, 3:6] = -back @ moved * dt[..., None]
-        by_gravity[:, 6:] = -0.5 * back @ moved * dt[..., None] ** 2
-        blocks = [(first, here), (first + LANES, next_one), (np.array(self.scale_column), by_gravity)]
-        return Terms((root @ residual[..., None])[..., 0], [(at, root @ block) for at, block in blocks])
+        by_gravity = np.concatenate([self.is_metric * states.gravity[:, None], tilt], axis=1)
+        out = np.empty((m, 9)), np.empty((m, 9, LANES)), np.empty((m, 9, 9)), np.empty((m, 9, 3))
+        kernels.compare(own, (states.gravity, by_gravity), measured, differentiate, out)
+        if not differentiate:
+            return Terms(out[0], [])
+        first = LANES * np.arange(m)
+        return Terms(out[0], [*zip((first, first + LANES, np.array(self.scale_column)), out[1:])])
 
     def _of_walk(self, states: States) -> Terms:
         dt = np.sqrt(self.measured.seconds)[:, None]

@@ -11,6 +11,7 @@ from jaxtyping import Float64, Int64
 from epipole._checks import checked
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, skew
+from epipole.inertial import _imu_kernels as kernels
 from epipole.inertial._inertial_problem import LANES, InertialProblem, States
 from epipole.inertial.alignment import InertialAlignment
 from epipole.inertial.log import MountedImu
@@ -97,7 +98,7 @@ class ImuFactors:
         velocity. Poses that images constrain weakly adapt to the IMU, and show less.
         """
         states, _ = self._at_best(rig_from_world.inverse())
-        squares = (self.problem.imu_terms(states)[0].residual ** 2).sum(axis=0)
+        squares = (self.problem.imu_terms(states, differentiate=False)[0].residual ** 2).sum(axis=0)
         freedom = 3.0 * (len(self.frames) - 1)
         return float(squares[:3].sum()) / freedom, float(squares[3:].sum()) / freedom
 
@@ -129,7 +130,8 @@ class ImuFactors:
         return states, cost
 
     def _cost(self, states: States) -> float:
-        return 0.5 * sum(float((one.residual**2).sum()) for one in self.problem.imu_terms(states))
+        terms = self.problem.imu_terms(states, differentiate=False)
+        return 0.5 * sum(float((one.residual**2).sum()) for one in terms)
 
     def _localized(self, states: States, poses: Rigid3) -> States:
         """The states with IMU rotations and positions from the camera poses."""
@@ -148,8 +150,7 @@ class ImuFactors:
         shared = np.broadcast_to(LANES * n + np.arange(3), (n - 1, 3))
         at = np.concatenate([own[0], inner[0], own[1], inner[1], shared], axis=1)
         matrix, gradient = np.zeros((LANES * n + 3, LANES * n + 3)), np.zeros(LANES * n + 3)
-        np.add.at(matrix, (at[:, :, None], at[:, None, :]), np.swapaxes(by_all, 1, 2) @ by_all)
-        np.add.at(gradient, at, np.einsum("mri,mr->mi", by_all, residual))
+        kernels.add_normal_equations(at, by_all, residual, matrix, gradient)
         biases = OUTER * n + np.arange(3, INNER)
         by_first = first.blocks[0][1][0]
         matrix[np.ix_(biases, biases)] += by_first.T @ by_first

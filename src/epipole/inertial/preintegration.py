@@ -9,7 +9,8 @@ from jaxtyping import Float64
 
 from epipole._checks import Declared, checked
 from epipole.errors import DegenerateGeometryError, ShapeError
-from epipole.geometry import Rotation3, skew
+from epipole.geometry import Rotation3
+from epipole.inertial import _imu_kernels as kernels
 from epipole.inertial.log import ImuLog, ImuNoise
 
 LARGEST_GAP_S = 0.1
@@ -99,39 +100,8 @@ def _steps(log: ImuLog, instants_s: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 
 def _integrated(dt: np.ndarray, gyro: np.ndarray, accel: np.ndarray, noise: ImuNoise) -> Preintegrated:
-    """Integrate all intervals in parallel, step by step."""
     m = len(dt)
-    rotation, velocity, position = np.tile(np.eye(3), (m, 1, 1)), np.zeros((m, 3)), np.zeros((m, 3))
-    covariance, by_bias = np.zeros((m, 9, 9)), np.zeros((m, 9, 6))
-    densities = np.repeat([noise.gyro_density**2, noise.accel_density**2], 3)
-    for step in range(dt.shape[1]):
-        h = dt[:, step, None, None]
-        step_rotation = 0.5 * (gyro[:, step] + gyro[:, step + 1]) * h[..., 0]
-        rotated = rotation @ Rotation3.exp(step_rotation).matrix
-        force = 0.5 * (
-            (rotation @ accel[:, step, :, None])[..., 0] + (rotated @ accel[:, step + 1, :, None])[..., 0]
-        )
-        change, by_noise = _linearized(rotation, force, step_rotation, h)
-        covariance = change @ covariance @ np.swapaxes(change, 1, 2)
-        covariance += (by_noise * densities) @ np.swapaxes(by_noise, 1, 2) / np.where(h > 0, h, 1.0)
-        by_bias = change @ by_bias - by_noise
-        position = position + velocity * h[..., 0] + 0.5 * force * h[..., 0] ** 2
-        velocity, rotation = velocity + force * h[..., 0], rotated
-    return Preintegrated(dt.sum(axis=1), rotation, velocity, position, covariance, by_bias)
-
-
-def _linearized(
-    rotation: np.ndarray, force: np.ndarray, step_rotation: np.ndarray, h: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Transition of the error state over a step, (m, 9, 9), and its derivative by the measurements' errors, (m, 9, 6)."""
-    m, one = len(rotation), np.eye(3)
-    lever = -skew(force) @ rotation
-    change, by_noise = np.tile(np.eye(9), (m, 1, 1)), np.zeros((m, 9, 6))
-    change[:, :3, :3] = np.swapaxes(Rotation3.exp(step_rotation).matrix, 1, 2)
-    change[:, 3:6, :3], change[:, 6:, :3] = lever * h, 0.5 * lever * h**2
-    change[:, 6:, 3:6] = one * h
-    by_noise[:, :3, :3] = (one - 0.5 * skew(step_rotation)) * h
-    # Half of a step's rotation comes before its mean force.
-    by_noise[:, 3:6, :3], by_noise[:, 6:, :3] = 0.5 * lever * h**2, 0.25 * lever * h**3
-    by_noise[:, 3:6, 3:], by_noise[:, 6:, 3:] = rotation * h, 0.5 * rotation * h**2
-    return change, by_noise
+    out = np.empty((m, 3, 3)), np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 9, 9)), np.empty((m, 9, 6))
+    densities = np.array([noise.gyro_density**2, noise.accel_density**2])
+    kernels.integrate(dt, gyro, accel, densities, out)
+    return Preintegrated(dt.sum(axis=1), *out)

@@ -23,7 +23,7 @@ from epipole.pipelines.slam.start.rig_start import RigStart
 from epipole.pipelines.slam.start.rotation import RotationEstimate, RotationTracker
 from epipole.pipelines.slam.start.two_view import Confirmation
 from epipole.pipelines.slam.tracking.points import Tracks
-from epipole.pipelines.slam.warm_up import warm_up
+from epipole.pipelines.slam.warm_up import warm_up, warm_up_imu
 from epipole.scene import CameraRig
 
 LEAST_KEYFRAMES = 3
@@ -65,6 +65,8 @@ class Slam(SlamMapping):
         It takes seconds once per process, and a minute or two on a new machine. This object does not change.
         """
         warm_up(self.camera, lambda camera: Slam(camera, self._given_config))
+        if self._camera_imu is not None:
+            warm_up_imu()
 
     # Initialization.
 

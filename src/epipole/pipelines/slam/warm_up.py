@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import cache
 from typing import Protocol
 
 import cv2
@@ -11,6 +12,7 @@ import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
+from epipole.inertial import ImuLog, ImuNoise, MountedImu, align_path_to_imu, imu_factors
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame
 from epipole.scene import CameraRig
 
@@ -24,6 +26,7 @@ TEXELS = 30.0
 """Texels of the walls in a unit."""
 DISPARITY_PX, DEPTH_UNIT_M, RIG_UNITS = 20.0, 0.5, 3.0
 """The unit of the room: such that the wall ahead has this disparity, or in meters, or relative to the size of a rig."""
+SWAY_S = 2.0
 
 
 _warm: set[tuple[bool, ...]] = set()
@@ -57,6 +60,19 @@ def warm_up(camera: SlamCamera, make: Callable[[SlamCamera], Tracker]) -> None:
         system.track(frame)
     system.finish()
     _warm.add(kind)
+
+
+@cache
+def warm_up_imu() -> None:
+    """Align a camera that sways for two seconds to its IMU, and take the derivatives of the factors; once per process."""
+    times, rate = np.linspace(0.0, SWAY_S, 401), np.array([5.0, 7.0, 9.0])
+    sway = 0.1 * np.sin(times[:, None] * rate)
+    log = ImuLog(times, np.zeros((len(times), 3)), -(rate**2) * sway + [0.0, 0.0, 9.81])
+    imu = MountedImu(log, Rigid3.identity(), ImuNoise())
+    path = Rigid3(np.tile(np.eye(3), (21, 1, 1)), sway[::20])
+    aligned = align_path_to_imu(times[::20], path, imu, 1e-3, 1e-3, is_metric=True)
+    factors = imu_factors(np.arange(len(path)), times[::20], path, imu, aligned, is_metric=True)
+    factors.linearized(path.inverse())
 
 
 def small_camera(camera: SlamCamera) -> SlamCamera:
