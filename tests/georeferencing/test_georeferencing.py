@@ -1,5 +1,6 @@
 """Georeferencing of simulated flights against the truth, and surveys with errors."""
 
+import re
 import sys
 from dataclasses import replace
 from functools import cache
@@ -207,6 +208,44 @@ def test_heights_above_the_geoid_are_noticed():
     assert "46." in warning and "above the ellipsoid" in warning
     assert found.gps_offset_m is not None and abs(found.gps_offset_m[2] - 46.5) < 3.0
     assert (np.abs(ratios(found, one.truth)) < 4.0).all()
+
+
+def test_precise_gps_above_another_surface_is_noticed_by_its_standard_deviations():
+    one = usual()
+    sigma = np.full_like(one.gps.sigma_m, 0.03)
+    noise = np.random.default_rng(1).normal(0.0, 0.03, one.centers.shape)
+    for offset_m, number in ((0.3, 0), (8.0, 1)):
+        precise = GpsFixes(one.centers + noise + [0.0, 0.0, offset_m], sigma)
+        found = adjusted(one, gps=precise)
+        assert len(found.warnings) == number and all(
+            re.search(r"[78]\.\d m above", text) for text in found.warnings
+        )
+
+
+def test_check_points_above_another_surface_or_measured_wrongly_are_told():
+    one, rows = usual(), np.flatnonzero(~usual().surveyed.is_control)
+    higher = one.surveyed.position_m.copy()
+    higher[rows, 2] += 46.5
+    (warning,) = adjusted(one, surveyed=with_positions(one.surveyed, higher)).warnings
+    assert f"{len(rows)} check points were measured 46." in warning and "sea level" in warning
+    wrong = one.surveyed.position_m.copy()
+    wrong[rows[0], 0] += 1.0
+    (warning,) = adjusted(one, surveyed=with_positions(one.surveyed, wrong)).warnings
+    assert re.search(rf"the check point {one.surveyed.name[rows[0]]} was measured \+(0\.9|1\.0)", warning)
+
+
+@pytest.mark.parametrize("higher", [(0, 1), (0, 2, 4)])
+def test_control_points_above_two_surfaces_are_named(higher):
+    """Two or three of five."""
+    one = usual()
+    position, is_control = one.surveyed.position_m.copy(), one.surveyed.is_control.copy()
+    rows = np.flatnonzero(is_control)[:5]
+    is_control[:] = False
+    is_control[rows] = True
+    position[rows[list(higher)], 2] += 46.5
+    mixed = replace(with_positions(one.surveyed, position), is_control=is_control)
+    with pytest.raises(ConfigError, match=r"fit the model horizontally, but .* 46\.\d m (higher|lower)"):
+        adjusted(one, surveyed=mixed)
 
 
 def test_a_constant_offset_of_gps_does_not_matter():

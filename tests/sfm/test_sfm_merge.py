@@ -2,6 +2,7 @@
 
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -15,7 +16,7 @@ from epipole.io.colmap.model import read_colmap_model
 from epipole.io.images.photographs import write_jpeg_with_exif
 from epipole.pipelines.sfm.mappers.joining import _similarity
 from epipole.pipelines.sfm.matching import match_stage
-from epipole.pipelines.sfm.merge import _free_name, _Part
+from epipole.pipelines.sfm.merge import _free_name, _notes_on_scale, _Part
 
 VIEWS = neighboring_views(8)
 FIRST, SECOND = np.arange(5), np.arange(3, 8)
@@ -138,6 +139,25 @@ def test_a_georeferenced_model_keeps_its_coordinates(parts, tmp_path):
     after = dict(zip(result.model.images.name, result.model.camera_centers_in_world()))
     off = [after[n] - c for n, c in zip(known.images.name, known.camera_centers_in_world())]
     assert np.abs(off).max() < 1.0  # GPS is 50 m away
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_a_scale_or_a_position_that_is_lost_is_a_warning(ring, tmp_path):
+    from epipole.scene import Georeference
+
+    merged = SimpleNamespace(mapped=SimpleNamespace(methods=["grown"], models=(ring,)))
+    bare = _Part(tmp_path / "bare", ring, ())
+    located = _Part(tmp_path / "located", _with_origin(ring, Georeference(48.2, 11.6, 520.0)), ())
+    (tmp_path / "metric").mkdir()
+    (tmp_path / "metric" / "summary.json").write_text('{"anchor": {"relative_sigma": 0.01}}')
+    metric = _Part(tmp_path / "metric", ring, ())
+    for parts, words in (((bare, located), "has a position on Earth"), ((bare, metric), "is in meters")):
+        (note,) = _notes_on_scale(merged, parts)
+        assert words in note and f"give {parts[1].root} first" in note
+    for parts in ((bare, bare), (located, bare), (metric, bare)):
+        assert not _notes_on_scale(merged, parts)
+    (note,) = _notes_on_scale(merged, (metric, located))
+    assert "has a position on Earth" in note
 
 
 def _with_origin(model, origin):

@@ -1,6 +1,7 @@
 """Rigs with known and constant geometry: assignment of images, scale, estimated geometry, and rigs that contradict the images."""
 
 import json
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -18,7 +19,9 @@ from epipole.io.images.photographs import write_jpeg_with_exif
 from epipole.mapping import adjust_reconstruction
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.rigs.assignment import assign_images
-from epipole.pipelines.sfm.rigs.rig_model import CALIBRATION_SIGMA, with_rigs
+from epipole.pipelines.sfm.rigs.lengths import CALIBRATION_SIGMA
+from epipole.pipelines.sfm.rigs.rig_model import with_rigs
+from epipole.scale import ScaleEstimate
 from epipole.scene import Reconstruction
 from epipole.synthetic import courtyard, render
 from whole import IS_WHOLE
@@ -235,6 +238,47 @@ def test_a_rig_that_contradicts_the_images_is_not_used():
         found = with_rigs(model, assign_images(model.images.name, [config]), MapperConfig())
         assert found.scale is None and len(found.model.rigs) == len(model.rigs)
         assert any("cam1/" in note and why in note for note in found.notes)
+
+
+def with_lengths(*factors: float) -> RigConfig:
+    """The geometry with other distances from the reference."""
+    given = [Rigid3(GEOMETRY.rotation[s], f * GEOMETRY.translation[s]) for s, f in enumerate(factors)]
+    return rig(given)
+
+
+def test_of_three_distances_one_that_contradicts_the_others_is_not_used():
+    found, _ = rigged(0, with_lengths(1.0, 1.0, 2.0, 1.0))
+    assert {*found.geometry} == {"cam0/", "cam1/", "cam3/"} and found.scale is not None
+    (note,) = [note for note in found.notes if "cam2/" in note]
+    assert "0.50 times the given distance" in note
+    right, _ = rigged(0, rig([GEOMETRY[0], GEOMETRY[1], None, GEOMETRY[3]]))
+    spans = [np.linalg.norm(np.ptp(one.model.camera_centers_in_world(), axis=0)) for one in (found, right)]
+    assert spans[0] == pytest.approx(spans[1], rel=1e-3)
+    assert not any("contradict the calibration" in note for note in found.notes)
+
+
+def test_of_two_distances_that_contradict_each_other_none_is_used():
+    found, _ = rigged(0, with_lengths(1.0, 1.0, 1.5))
+    assert found.scale is None and found.geometry == {}
+    assert sum("the given distance" in note for note in found.notes) == 2
+
+
+def test_a_rig_in_centimeters_does_not_override_gps():
+    """A model in meters stays as it is, and the note names both scales."""
+    model, _ = mapped(0)
+    metric = with_rigs(model, assign_images(model.images.name, [KNOWN]), MapperConfig()).model
+    scale = np.linalg.norm(np.ptp(metric.camera_centers_in_world(), axis=0)) / np.linalg.norm(
+        np.ptp(model.camera_centers_in_world(), axis=0)
+    )
+    in_meters = model.transformed(Similarity3(np.asarray(scale), np.eye(3), np.zeros(3)))
+    gps = ScaleEstimate("GPS", "GPS", 1.0, 0.1, 0.0, "GPS of 48 images")
+    assignment = assign_images(model.images.name, [with_lengths(1.0, 100.0, 100.0, 100.0)])
+    found = with_rigs(in_meters, assignment, MapperConfig(), gps)
+    assert found.model is in_meters and found.scale is None and found.geometry == {}
+    expected = r"(99\.\d|100|101) times as large as by GPS of 48 images \(known to 10 %\)"
+    assert any(re.search(expected, note) for note in found.notes)
+    agreeing = with_rigs(in_meters, assign_images(model.images.name, [KNOWN]), MapperConfig(), gps)
+    assert agreeing.scale is not None and len(agreeing.geometry) == 4
 
 
 def test_cameras_that_move_are_no_rig():

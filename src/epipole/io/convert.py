@@ -68,8 +68,9 @@ _POINTS, _TRACKS, _RIGS, _POSITION, _TIMES = (
 _ASPECT = "different focal lengths in x and y"
 _PRINCIPAL_POINT = "principal points that are not the image center"
 _NOT_STORED = {
-    "transforms": (_RIGS,),
-    "bundler": (_RIGS, _POSITION, _ASPECT),
+    "transforms": (_TRACKS, _RIGS, _TIMES),
+    "bundler": (_RIGS, _POSITION, _TIMES, _ASPECT, _PRINCIPAL_POINT),
+    "ply": (_TRACKS, _RIGS, _TIMES),
     "metashape": (_POINTS, _RIGS, _TIMES),
     "realityscan": (_POINTS, _RIGS, _POSITION, _TIMES, _ASPECT),
     "kapture": (_POSITION, _TIMES),

@@ -15,7 +15,7 @@ from epipole.io._bytes import ByteReader
 from epipole.io.atomic import atomic_write
 from epipole.io.files import file_bytes, open_file
 from epipole.io.meshes._ply_colors import ply_colors
-from epipole.scene import Reconstruction
+from epipole.scene import Georeference, Reconstruction
 
 CAMERA_RGB = (230, 60, 40)
 """Color of the camera frustums."""
@@ -39,6 +39,7 @@ PLY_TYPES = {
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+ORIGIN_COMMENT = "comment epipole origin of x east, y north, z up in meters:"
 _IGNORED_LINES = ("comment", "obj_info", "ply")
 MAX_HEADER = 1 << 16
 
@@ -94,7 +95,7 @@ def write_points_ply(path: str | Path, xyz: Any, rgb: Any) -> None:
 
 @checked
 def write_scene_ply(path: str | Path, reconstruction: Reconstruction) -> None:
-    """Write the points, and a frustum for each registered camera as edges.
+    """Write the points, and a frustum for each registered camera as edges; a comment has the position of the origin on Earth, if it is known.
 
     Raises:
         WorkspaceError: the file cannot be written.
@@ -108,7 +109,16 @@ def write_scene_ply(path: str | Path, reconstruction: Reconstruction) -> None:
     edges = np.empty(len(corners) * len(_FRUSTUM_EDGES), _EDGE)
     edges["vertices"] = (first[:, None, None] + _FRUSTUM_EDGES).reshape(-1, 2)
     edges["rgb"] = CAMERA_RGB
-    _write(Path(path), xyz, rgb, edges, SCENE_COMMENT)
+    _write(Path(path), xyz, rgb, edges, (SCENE_COMMENT, *_origin_comment(reconstruction.georeference)))
+
+
+def _origin_comment(origin: Georeference | None) -> tuple[str, ...]:
+    if origin is None:
+        return ()
+    return (
+        f"{ORIGIN_COMMENT} latitude {origin.lat_deg:.10f} longitude {origin.lon_deg:.10f} degrees (WGS84), "
+        f"altitude {origin.alt_m:.4f} m",
+    )
 
 
 @checked
@@ -170,11 +180,13 @@ def _frustum_depth(reconstruction: Reconstruction, centers: np.ndarray) -> float
     return 1.0
 
 
-def _write(path: Path, xyz: np.ndarray, rgb: np.ndarray, edges: np.ndarray, comment: str = "") -> None:
+def _write(
+    path: Path, xyz: np.ndarray, rgb: np.ndarray, edges: np.ndarray, comments: tuple[str, ...] = ()
+) -> None:
     kind, properties = vertex_type(xyz)
     vertices = np.empty(len(xyz), kind)
     vertices["xyz"], vertices["rgb"] = xyz, rgb
-    lines = ["ply", "format binary_little_endian 1.0", *filter(None, [comment])]
+    lines = ["ply", "format binary_little_endian 1.0", *comments]
     lines += [f"element vertex {len(vertices)}", *properties]
     if len(edges):
         lines += [f"element edge {len(edges)}", *(f"property {line}" for line in _EDGE_HEADER)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -21,6 +22,7 @@ from epipole.pipelines.georeferencing.adjustment import (
     without_itself,
 )
 from epipole.pipelines.georeferencing.config import GeoreferenceConfig
+from epipole.pipelines.georeferencing.heights import SURFACES, common_height_m
 from epipole.pipelines.georeferencing.start import find_start
 from epipole.pipelines.georeferencing.survey import GpsFixes, SurveyedPoints
 from epipole.robust import triangulate_points
@@ -193,6 +195,9 @@ def _result(
     variances = np.einsum("nii->ni", adjusted.covariances)
     is_checked = np.array([role is not PointRole.CONTROL for role in roles], bool)[:, None]
     variances = variances + np.where(is_checked, surveyed.sigma_m**2, 0.0)
+    residuals_m, sigmas_m = adjusted.positions_m - surveyed.position_m, np.sqrt(variances)
+    checks = np.array([role is PointRole.CHECK for role in roles], bool)
+    warnings += _check_warnings(surveyed.name, residuals_m, sigmas_m, checks)
     centers = adjusted.model.camera_centers_in_world()
     off = np.full(centers.shape, np.nan) if gps is None else centers - gps.position_m
     return GeoreferencedModel(
@@ -200,8 +205,8 @@ def _result(
         tuple(roles),
         adjusted,
         used,
-        adjusted.positions_m - surveyed.position_m,
-        np.sqrt(variances),
+        residuals_m,
+        sigmas_m,
         others_m,
         others_sigma_m,
         off,
@@ -230,6 +235,29 @@ def _control_warnings(
                 f"the control point {surveyed.name[row]} is {away_m:.2f} m from where the other measurements put it, {ratio:.0f} standard "
                 "deviations: one of the control points is wrong, or they are less precise than stated"
             )
+    return out
+
+
+def _check_warnings(
+    names: Sequence[str], residuals_m: np.ndarray, sigmas_m: np.ndarray, is_check: np.ndarray
+) -> list[str]:
+    """Check points that the result does not put where they were measured; a common height is said once."""
+    with np.errstate(invalid="ignore"):
+        ratio = np.nan_to_num(np.abs(residuals_m / sigmas_m))
+    rows = np.flatnonzero(is_check & (ratio.max(axis=1) > CONTROL_SIGMAS))
+    constant_m = common_height_m(residuals_m[rows, 2])
+    if constant_m is not None and (ratio[rows, :2] <= CONTROL_SIGMAS).all():
+        return [
+            f"{len(rows)} check points were measured {abs(constant_m):.1f} m {'lower' if constant_m > 0 else 'higher'} than the result "
+            f"puts them, and fit horizontally; their heights and those of the other measurements do not go together: {SURFACES}"
+        ]
+    out = []
+    for row in rows.tolist():
+        east, north, up = (f"{value:+.2f}" for value in np.nan_to_num(-residuals_m[row]))
+        out.append(
+            f"the check point {names[row]} was measured {east} m east, {north} m north and {up} m up of where the result puts it, "
+            f"{ratio[row].max():.0f} standard deviations: it, the control points or the stated standard deviations are wrong"
+        )
     return out
 
 

@@ -14,6 +14,7 @@ from epipole.config import RansacConfig
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Similarity3, align_points
 from epipole.geometry.geodesy import ecef_from_lat_lon_alt
+from epipole.pipelines.georeferencing.heights import SURFACES, mixed_heights
 from epipole.pipelines.georeferencing.survey import GpsFixes, SurveyedPoints
 from epipole.pipelines.sfm.gps.alignment import align_to_gps
 from epipole.pipelines.sfm.mapping_stage import GPS_OUTLIER_SIGMAS, VAGUE_UP_RAD
@@ -32,6 +33,8 @@ DIFFERENT_M = 30.0
 """Horizontal offset above which a warning is given: the coordinate systems may differ."""
 HEIGHT_OFFSET_M = 12.0
 """Vertical offset above which a warning is given; the geoid is up to 107 m from the ellipsoid, GPS altitudes are meters off."""
+OFFSET_SIGMAS, LEAST_OFFSET_M = 10.0, 1.0
+"""Offsets above this many standard deviations of a precise receiver, and above this length, give the same warnings."""
 STEEP = 0.5
 """Mean upward component of the viewing directions above which cameras look up."""
 EXCHANGED = "the first two columns of the control points are exchanged: easting (longitude) must come first, then northing (latitude)"
@@ -85,15 +88,12 @@ def find_start(
     enu_from_world = fit_similarity(source, target, seed)
     _refuse_exchanged_axes(model, source, target, surveyed.exchanged_m[rows], enu_from_world, seed)
     if enu_from_world is None:
-        raise ConfigError(
-            f"the {len(rows)} control points do not fit the model: no three of them agree with another on its scale and shape; "
-            "check their coordinates and observations"
-        )
+        raise ConfigError(_misfit([surveyed.name[row] for row in rows], source, target))
     offset_m = None if gps is None else gps_offset(model, enu_from_world, gps)
     if offset_m is None or gps is None:
         return Start(enu_from_world, gps, None, ())
     shift = np.nan_to_num(-offset_m)
-    return Start(enu_from_world, gps.shifted(shift), offset_m, tuple(_offset_warnings(offset_m)))
+    return Start(enu_from_world, gps.shifted(shift), offset_m, tuple(_offset_warnings(offset_m, gps)))
 
 
 def _start_with_gps(
@@ -105,7 +105,7 @@ def _start_with_gps(
         return Start(enu_from_world, gps, None, tuple(warnings))
     shift_m = (target - enu_from_world.apply(source)).mean(axis=0)
     moved = Similarity3(enu_from_world.scale, enu_from_world.rotation, enu_from_world.translation + shift_m)
-    return Start(moved, gps.shifted(shift_m), -shift_m, (*warnings, *_offset_warnings(-shift_m)))
+    return Start(moved, gps.shifted(shift_m), -shift_m, (*warnings, *_offset_warnings(-shift_m, gps)))
 
 
 def is_wide(points: np.ndarray) -> bool:
@@ -247,15 +247,35 @@ def _middle(lat_lon_alt: np.ndarray) -> np.ndarray:
     return np.asarray(np.median(ecef_from_lat_lon_alt(known * [1.0, 1.0, 0.0]), axis=0))
 
 
-def _offset_warnings(offset_m: np.ndarray) -> list[str]:
+def _misfit(names: list[str], source: np.ndarray, target: np.ndarray) -> str:
+    """Why control points do not fit the model: heights above different surfaces, or something else."""
+    extent = float(np.linalg.norm(np.ptp(target, axis=0)))
+    mixed = mixed_heights(source, target, TOLERANCE * extent)
+    if mixed is not None:
+        higher, constant_m = mixed
+        named = ", ".join(name for name, own in zip(names, higher) if own)
+        return (
+            f"the control points fit the model horizontally, but {named} {'are' if higher.sum() > 1 else 'is'} "
+            f"{abs(constant_m):.1f} m {'higher' if constant_m > 0 else 'lower'} than the others put them: {SURFACES}"
+        )
+    return (
+        f"the {len(names)} control points do not fit the model: no three of them agree with another on its scale and shape; "
+        "check their coordinates and observations"
+    )
+
+
+def _offset_warnings(offset_m: np.ndarray, gps: GpsFixes) -> list[str]:
+    """Offsets of GPS that its standard deviations do not explain; those of RTK receivers are centimeters."""
     out = []
+    sigma_m = np.nan_to_num(np.nanmedian(gps.sigma_m, axis=0), nan=np.inf)
+    limit_m = np.maximum(LEAST_OFFSET_M, OFFSET_SIGMAS * sigma_m)
     horizontal_m, up_m = float(np.hypot(*offset_m[:2])), float(offset_m[2])
-    if horizontal_m > DIFFERENT_M:
+    if horizontal_m > min(DIFFERENT_M, float(limit_m[:2].max())):
         out.append(
-            f"the GPS positions are {horizontal_m:.0f} m from the images, as located by the control points, all in one direction: "
+            f"the GPS positions are {horizontal_m:.{int(horizontal_m < 10)}f} m from the images, as located by the control points, all in one direction: "
             "the coordinate systems may differ; the control points are used"
         )
-    if abs(up_m) > HEIGHT_OFFSET_M:
+    if abs(up_m) > min(HEIGHT_OFFSET_M, float(limit_m[2])):
         out.append(
             f"the GPS altitudes are {abs(up_m):.1f} m {'above' if up_m > 0 else 'below'} the heights that the control points give the "
             "images: one is probably above the ellipsoid and the other above sea level (the geoid), or the altitudes are barometric; "

@@ -51,7 +51,7 @@ def with_scale(
         FileFormatError: a file given as an option cannot be read.
     """
     mapped, images = _with_residuals(solution.mapped, solution.images), solution.images
-    model, gps = mapped.models[0], _gps_estimate(mapped, images, config)
+    model, gps = mapped.models[0], gps_estimate(mapped, images, config)
     if known is not None and (gps is None or known.kind == "rig"):
         gps = known
     if config.anchors.is_empty:
@@ -147,8 +147,8 @@ def _fixes(mapped: Mapped, images: ImageSet) -> np.ndarray:
     return np.full((len(images), 3), np.nan) if origin is None else origin.enu_of(images.lat_lon_alt)
 
 
-def _gps_estimate(mapped: Mapped, images: ImageSet, config: ReconstructConfig) -> ScaleEstimate | None:
-    """Scale estimate of a model that GPS has made metric: one, with its standard deviation."""
+def gps_estimate(mapped: Mapped, images: ImageSet, config: ReconstructConfig) -> ScaleEstimate | None:
+    """Scale estimate of a largest model that GPS has made metric: one, with its standard deviation."""
     if mapped.gps[0] is None:
         return None
     centers, fixes = mapped.models[0].camera_centers_in_world(), _fixes(mapped, images)

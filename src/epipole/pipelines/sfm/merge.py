@@ -20,6 +20,7 @@ from epipole.io.colmap.model import find_model, read_colmap_model
 from epipole.io.files import missing_in_words
 from epipole.io.images.photographs import link_or_copy, list_photographs
 from epipole.io.workspaces import DATABASE, IMAGES, workspace_of_model
+from epipole.pipelines.sfm.anchored import scale_of_workspace
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.inputs import CONTENTS, UNITS
 from epipole.pipelines.sfm.mappers.growth import Earlier
@@ -97,7 +98,9 @@ def merge(
             tuple(EarlierDatabase(part.root / DATABASE, own) for part, own in zip(parts, names)),
         )
         solution = solve(run.root / PHOTOGRAPHS, run, config, earlier)
-        run.warnings += _notes(solution, parts, names)
+        run.warnings += [*_notes(solution, parts, names), *_notes_on_scale(solution, parts)]
+        if config.rigs is None:
+            run.warnings += _notes_on_rigs(parts)
         return finish_reconstruction(solution, run, config, parts[0].root)
 
 
@@ -201,10 +204,6 @@ def _notes(solution: Solution, parts: Sequence[_Part], names: Sequence[dict[str,
         out.append(
             f"GPS determines the coordinates of the merged model, which are not those of {parts[0].root}"
         )
-    if any((np.diff(part.model.rigs.sensor_offsets) > 1).any() for part in parts):
-        out.append(
-            "the given models have rigs, but the merged model does not: pass --rigs with a file for the present image names"
-        )
     for part, own in zip(parts, names):
         at = part.model.is_registered()
         here = {own[name] for k, name in enumerate(part.model.images.name) if at[k]}
@@ -218,3 +217,30 @@ def _notes(solution: Solution, parts: Sequence[_Part], names: Sequence[dict[str,
                 f"{len(lost)} images of {part.root} are not in the merged model, such as {lost[0]}: the report gives the reasons"
             )
     return out
+
+
+def _notes_on_rigs(parts: Sequence[_Part]) -> list[str]:
+    """A warning if rigs of the models are lost."""
+    if not any((np.diff(part.model.rigs.sensor_offsets) > 1).any() for part in parts):
+        return []
+    return [
+        "the given models have rigs, but the merged model does not: pass --rigs with a file for the present image names"
+    ]
+
+
+def _notes_on_scale(solution: Solution, parts: Sequence[_Part]) -> list[str]:
+    """A warning if the first model, whose coordinates stay, is without the scale or the position on Earth that another one has."""
+    if "grown" not in solution.mapped.methods or solution.mapped.models[0].georeference is not None:
+        return []
+    is_metric = [
+        part.model.georeference is not None or scale_of_workspace(part.root) is not None for part in parts
+    ]
+    if (better := next((k for k, part in enumerate(parts) if part.model.georeference is not None), 0)) > 0:
+        lost = "has a position on Earth, which the merged model has not"
+    elif not is_metric[0] and any(is_metric):
+        better, lost = is_metric.index(True), "is in meters, and the merged model is not"
+    else:
+        return []
+    return [
+        f"{parts[better].root} {lost}: its coordinates are those of {parts[0].root}; to keep them, give {parts[better].root} first"
+    ]

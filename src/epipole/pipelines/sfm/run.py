@@ -14,7 +14,7 @@ from epipole._jit import compile_seconds
 from epipole.config import options_of
 from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io.colmap.rig_config import read_rig_config
-from epipole.pipelines.sfm.anchored import scale_of_workspace, with_scale
+from epipole.pipelines.sfm.anchored import gps_estimate, scale_of_workspace, with_scale
 from epipole.pipelines.sfm.config import ReconstructConfig
 from epipole.pipelines.sfm.mappers.growth import Earlier
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
@@ -145,7 +145,7 @@ def finish_reconstruction(
         )
         if config.rigs is not None:
             with run.stage("rigs"):
-                solution, scale, rigs = _with_rigs(solution, run, config)
+                solution, scale, rigs = _with_rigs(solution, run, config, before)
             before = scale or before
         with run.stage("anchor"):
             mapped, notes = with_scale(solution, config, run.job.progress, before)
@@ -177,13 +177,20 @@ def _scale_of_poses(solution: Solution) -> ScaleEstimate | None:
 
 
 def _with_rigs(
-    solution: Solution, run: Run, config: ReconstructConfig
+    solution: Solution, run: Run, config: ReconstructConfig, before: ScaleEstimate | None
 ) -> tuple[Solution, ScaleEstimate | None, dict[str, Any]]:
-    """The solution with the rigs of the option; also the scale that they give the largest model, and their geometry there."""
+    """The solution with the rigs of the option; also the scale that they give the largest model, and their geometry there.
+
+    before: scale of the largest model, if it is known other than by GPS.
+    """
     assert config.rigs is not None
     run.report("rigs", 0, 1)
     assignment = assign_images(solution.images.names, read_rig_config(config.rigs))
-    found = [with_rigs(model, assignment, config.mapper) for model in solution.mapped.models]
+    metric = gps_estimate(solution.mapped, solution.images, config) or before
+    found = [
+        with_rigs(model, assignment, config.mapper, None if number else metric)
+        for number, model in enumerate(solution.mapped.models)
+    ]
     run.report("rigs", 1, 1)
     run.warnings += found[0].notes
     mapped = replace(solution.mapped, models=tuple(one.model for one in found))

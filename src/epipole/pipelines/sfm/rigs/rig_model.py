@@ -26,6 +26,13 @@ from epipole.pipelines.sfm.rigs.geometry import (
     robust_mean,
     rotation_angles_rad,
 )
+from epipole.pipelines.sfm.rigs.lengths import (
+    CALIBRATION_SIGMA,
+    contradiction_of_scales,
+    contradictory_lengths,
+    length_ratios,
+    scale_of_lengths,
+)
 from epipole.scale import ScaleEstimate
 from epipole.scene import Frames, Reconstruction, Rigs, unregistered
 from epipole.scene.point_accuracy import pixel_noise
@@ -35,10 +42,11 @@ OUTLIER_RAD = np.deg2rad(5.0)
 LEAST_NOISE_PX = 0.05
 PRINCIPAL_SIGMA_PX = 0.5
 """Standard deviation of the principal points of cameras with known geometry, relative to the reference."""
-CALIBRATION_SIGMA = 0.002
-"""Relative standard deviation of given baselines and focal lengths: half a millimeter of 25 cm, or a focal length that is off by 0.2 %."""
-NOTABLE_PX = 0.1
-"""Correction of a principal point that is reported."""
+NOTABLE_PX, IMPLAUSIBLE_PX = 0.1, 2.0
+"""Corrections of a principal point that are reported, and that a calibration hardly needs."""
+GEOMETRY_MAY_BE_WRONG = (
+    "; so much is rather an error of the given geometry: check its rotations and distances"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,19 +61,30 @@ class RigModel:
     notes: tuple[str, ...]
 
 
-def with_rigs(model: Reconstruction, assignment: RigAssignment, config: MapperConfig) -> RigModel:
+def with_rigs(
+    model: Reconstruction,
+    assignment: RigAssignment,
+    config: MapperConfig,
+    metric: ScaleEstimate | None = None,
+) -> RigModel:
     """Replace the independent images of rigs by frames, and adjust; sensors that contradict the images stay independent.
 
     Args:
         model: a model of single images, in the order of the assignment.
         assignment: rig, sensor and frame of each image.
         config: options of the last adjustment.
+        metric: scale of a model that is in meters already; rigs that contradict it are not used.
     """
     usable, notes = _usable_sensors(model, assignment)
-    scaled = _scale_of_rigs(model, assignment, usable)
+    ratios = _length_ratios(model, assignment, usable)
+    wrong = contradictory_lengths(ratios)
+    notes += [_not_used(assignment, s, why) for s, why in wrong.items()]
+    usable -= {*wrong}
+    scaled = scale_of_lengths({s: own for s, own in ratios.items() if s in usable})
+    if scaled is not None and metric is not None and (why := contradiction_of_scales(scaled, metric)):
+        return RigModel(model, None, {}, (*notes, why))
     if scaled is not None:
-        factor = Similarity3(np.asarray(scaled[0]), np.eye(3), np.zeros(3))
-        model = replace(model.transformed(factor), georeference=model.georeference)
+        model = _scaled(model, scaled.factor)
     geometry = _geometry(model, assignment, usable)
     if not any(len(own) > 1 for own in _sensors_by_rig(assignment, geometry).values()):
         return RigModel(model, None, {}, tuple(notes))
@@ -81,7 +100,7 @@ def with_rigs(model: Reconstruction, assignment: RigAssignment, config: MapperCo
     sigmas, relative_sigma = _accuracy(adjusted, problem, result, config, free)
     scale = None
     if scaled is not None:
-        words = f"known geometry of rigs in {scaled[1]} frames"
+        words = f"known geometry of rigs in {scaled.num_frames} frames"
         total_sigma = float(np.hypot(relative_sigma, CALIBRATION_SIGMA))
         scale = ScaleEstimate("rig", words, 1.0, total_sigma, 0.0, words)
     entries = {
@@ -118,7 +137,7 @@ def _usable_sensors(model: Reconstruction, assignment: RigAssignment) -> tuple[s
             if given is not None and not len(found):
                 why = "no frame has it and the reference registered"
         if why:
-            notes.append(f"the rig is not used for the images {sensor.prefix}...: {why}")
+            notes.append(_not_used(assignment, s, why))
         else:
             out.add(s)
     without_reference = {s for s in out if assignment.reference_of(s) not in out}
@@ -135,21 +154,28 @@ def _several_cameras(model: Reconstruction, assignment: RigAssignment, sensor: i
     return f"they are of {len(rows)} cameras ({words})"
 
 
-def _scale_of_rigs(
+def _not_used(assignment: RigAssignment, sensor: int, why: str) -> str:
+    return f"the rig is not used for the images {assignment.sensors[sensor].prefix}...: {why}"
+
+
+def _length_ratios(
     model: Reconstruction, assignment: RigAssignment, usable: set[int]
-) -> tuple[float, int] | None:
-    """Meters per unit from the known distances between cameras, and the number of frames that measure it; None without them."""
-    cams, ratios = model.cams_from_world(), list[np.ndarray]()
+) -> dict[int, np.ndarray]:
+    """Of each sensor with known geometry: its known distance from the reference over that in the model."""
+    cams, out = model.cams_from_world(), dict[int, np.ndarray]()
     for s in sorted(usable):
         given = assignment.sensors[s].cam_from_rig
-        if _is_reference(assignment, s) or given is None:
-            continue
-        known = float(np.linalg.norm(given.translation))
-        length = np.linalg.norm(relative_poses(cams, assignment, s).cam_from_reference.translation, axis=1)
-        if known > 0:
-            ratios.append(known / length[length > 0])
-    every = np.concatenate([np.zeros(0), *ratios])
-    return (float(np.median(every)), len(every)) if len(every) else None
+        if given is not None and not _is_reference(assignment, s):
+            known = float(np.linalg.norm(given.translation))
+            out[s] = length_ratios(relative_poses(cams, assignment, s), known)
+    return out
+
+
+def _scaled(model: Reconstruction, factor: float) -> Reconstruction:
+    """Scale about the middle of the cameras, so that a model with a position on Earth keeps it."""
+    middle = np.nanmean(model.camera_centers_in_world(), axis=0)
+    larger = Similarity3(np.asarray(factor), np.eye(3), middle - factor * middle)
+    return replace(model.transformed(larger), georeference=model.georeference)
 
 
 def _is_reference(assignment: RigAssignment, sensor: int) -> bool:
@@ -306,6 +332,7 @@ def _principal_notes(before: Reconstruction, after: Reconstruction, given: Seque
             out.append(
                 f"the images contradict the calibration of the camera of {name}: its principal point is {off_px[0]:+.2f}, {off_px[1]:+.2f} px "
                 "off relative to that of the reference, and was corrected"
+                + (GEOMETRY_MAY_BE_WRONG if np.abs(off_px).max() > IMPLAUSIBLE_PX else "")
             )
     return out
 
