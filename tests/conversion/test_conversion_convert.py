@@ -19,7 +19,9 @@ from epipole.io import (
     write_colmap_model,
     write_opensfm,
 )
+from epipole.io.convert import content_not_stored
 from epipole.io.gaussians.files import read_gaussians, write_gaussians
+from epipole.io.meshes.ply import num_cameras_of_scene
 from epipole.pipelines.conversion.run import convert
 from epipole.pipelines.undistortion.run import undistort
 from epipole.runs import Job, open_run
@@ -239,6 +241,20 @@ def test_content_that_a_format_cannot_store_is_named(tmp_path: Path) -> None:
     assert convert(tmp_path / "bin", tmp_path / "c", "kapture").losses == (
         "kapture cannot store the position on Earth",
     )
+    timed = replace(
+        model, frames=replace(model.frames, timestamp_s=np.arange(len(model.frames), dtype=float))
+    )
+    write_colmap_model(timed, tmp_path / "timed")
+    for form, target in (("transforms", "d"), ("ply", "e.ply")):
+        losses = content_not_stored(timed, form)
+        assert losses == tuple(f"{form} cannot store {what}" for what in ("tracks", "rigs", "capture times"))
+        done = convert(tmp_path / "bin", tmp_path / target, form)
+        assert set(done.losses) <= set(losses) and f"{form} cannot store tracks" in done.losses
+    assert b"latitude 48.0000000000 longitude 11.0000000000" in (tmp_path / "e.ply").read_bytes()
+    assert num_cameras_of_scene(tmp_path / "e.ply") == model.is_registered().sum()
+    assert {"bundler cannot store the position on Earth", "bundler cannot store capture times"} <= {
+        *content_not_stored(timed, "bundler")
+    }
 
 
 def test_content_of_the_source_that_is_not_read_is_named(tmp_path: Path) -> None:

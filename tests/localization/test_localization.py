@@ -114,6 +114,17 @@ def test_another_scene_is_not_localized(localizer, rng):
     assert blank.reason is LocalizationReason.FEW_FEATURES
 
 
+def test_images_of_another_scene_alone_end_with_a_warning(photographs, workspace, tmp_path):
+    """Mirror images, which show no scene of the model."""
+    (tmp_path / "others").mkdir()
+    for path in sorted(photographs.iterdir()):
+        mirrored = cv2.imread(str(path))[:, ::-1, ::-1].copy()
+        write_jpeg_with_exif(tmp_path / "others" / path.name, mirrored, focal_35mm=FOCAL_35MM)
+    found = epipole.localize(tmp_path / "others", workspace, tmp_path / "out")
+    assert found.num_localized == 0 and len(found.reasons) == 3
+    assert any("none of 3 images is localized" in warning for warning in found.warnings)
+
+
 @pytest.mark.parametrize("zoom", [1.06, 1.4])
 def test_another_zoom_without_exif_is_noticed(workspace, photographs, views, truth, tmp_path, zoom):
     """Images without EXIF have the size of the model's images, but were cropped: they have another focal length."""

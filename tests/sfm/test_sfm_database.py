@@ -3,6 +3,7 @@
 import shutil
 import sqlite3
 from contextlib import closing
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from epipole import reconstruct
 from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rotation3
+from epipole.pipelines.sfm import inputs
 from epipole.pipelines.sfm.config import ReconstructConfig
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
@@ -99,3 +101,16 @@ def test_what_is_no_database_is_refused(few, tmp_path):
 def test_the_runs_own_database_is_not_read_over(few, first):
     with pytest.raises(ConfigError, match="copy it elsewhere"):
         reconstruct(few, first.out, ReconstructConfig(database=first.out / "database.db"))
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize(("offsets", "number"), [([0, 1, 2], 0), ([0, 2], 1)])
+def test_rigs_that_are_not_used_are_a_warning(monkeypatch, tmp_path, offsets, number):
+    contents = SimpleNamespace(rigs=SimpleNamespace(sensor_offsets=np.array(offsets)))
+    monkeypatch.setattr(
+        inputs, "open_source", lambda *_, **__: (SimpleNamespace(contents=contents), "images")
+    )
+    run = SimpleNamespace(root=tmp_path / "out", warnings=[])
+    config = ReconstructConfig(database=tmp_path / "given.db")
+    assert inputs.open_database("images", run, config)[1] == "images"
+    assert len(run.warnings) == number and all("the rigs in given.db" in text for text in run.warnings)

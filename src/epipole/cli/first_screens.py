@@ -27,14 +27,14 @@ FIRST_SCREENS = {
     "merge": FirstScreen(
         ("epipole merge MODEL1 MODEL2 OUT",),
         (
-            "--calibration --camera-params --camera-model --single-camera --pairing.neighbors "
+            "--calibration --camera-params --camera-model --single-camera --rigs --pairing.neighbors "
             "--features.max-features --mapper.use-gps --threads"
         ),
     ),
     "localize": FirstScreen(
         (
-            "epipole localize NEW OUT",
-            "epipole localize photo.jpg OUT DEST",
+            "epipole localize NEW WORKSPACE",
+            "epipole localize photo.jpg WORKSPACE OUT",
         ),
         (
             "--calibration --camera-params --camera-model --include --masks --max-frames --threads "
@@ -43,8 +43,8 @@ FIRST_SCREENS = {
     ),
     "georeference": FirstScreen(
         (
-            "epipole georeference OUT --gcp gcp_list.txt",
-            "epipole georeference OUT DEST --gcp gcp_list.txt --check P4 --check P9",
+            "epipole georeference WORKSPACE --gcp gcp_list.txt",
+            "epipole georeference WORKSPACE OUT --gcp gcp_list.txt --check P4 --check P9",
         ),
         (
             "--gcp --check --gcp-sigma-m --gcp-height-sigma-m --mark-sigma-px --use-gps --gps-sigma-m "

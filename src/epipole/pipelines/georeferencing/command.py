@@ -23,7 +23,7 @@ WORDS = {
 
 def georeference(
     workspace: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="WORKSPACE")],
-    out: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")] = None,
+    out: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[OUT]")] = None,
     config: Annotated[GeoreferenceConfig, tyro.conf.arg(name=""), tyro.conf.UseAppendAction] = DEFAULTS,
 ) -> None:
     """Georeference a finished model with control points and GPS, with error bars.

@@ -20,7 +20,7 @@ WORDS = {**STAGES, "open": "Opening the model", "localize": "Localizing images"}
 def localize(
     images: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="IMAGES")],
     workspace: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="WORKSPACE")],
-    out: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")] = None,
+    out: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[OUT]")] = None,
     config: Annotated[LocalizeConfig, tyro.conf.arg(name=""), tyro.conf.UseAppendAction] = DEFAULTS,
 ) -> None:
     """Localize new images in a finished model, with error bars; the model does not change.

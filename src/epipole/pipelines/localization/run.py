@@ -249,7 +249,7 @@ def _write(
         write_scene_ply(aside / "points.ply", before)
         (aside / "localized.json").write_text(json_text(entries, indent=1), encoding="utf-8")
         (aside / "poses.txt").write_text(poses_text(names, found), encoding="utf-8")
-    unit = _unit_of(workspace_of(run.job.inputs[1]))
+    unit = METERS if before.georeference is not None else _unit_of(workspace_of(run.job.inputs[1]))
     errors = [found[k].error_px for k in good]
     summary = {
         "num_images": len(images) + len(images.left_out),
@@ -282,8 +282,12 @@ def _unit_of(workspace: Path) -> str:
 def _warnings(
     names: Sequence[str], found: Sequence[LocalizedImage], cameras: Sequence[QueryCamera]
 ) -> list[str]:
-    """Notes on focal lengths that the points contradict."""
+    """Notes on images of something else, and on focal lengths that the points contradict."""
     out = []
+    if found and not any(image.success for image in found):
+        out.append(
+            f"none of {plural(len(found), 'image')} is localized: they may not show what the model shows; the reasons are in the summary"
+        )
     wrong = [
         k
         for k, image in enumerate(found)

@@ -76,7 +76,12 @@ def open_database(
         return None, images
     if config.database.resolve() == (run.root / DATABASE).resolve():
         raise ConfigError(f"{config.database} is overwritten by this run; copy it elsewhere first")
-    return open_source(config.database, images, keep_cameras=config.has_known_camera)
+    source, images = open_source(config.database, images, keep_cameras=config.has_known_camera)
+    if (np.diff(source.contents.rigs.sensor_offsets) > 1).any():
+        run.warnings.append(
+            f"the rigs in {config.database.name} are not used, and its images are mapped one by one: to use rigs, pass --rigs instead of --database"
+        )
+    return source, images
 
 
 def detect(
