@@ -189,7 +189,8 @@ def _entry(name: str, text: str) -> Entry:
     name = with_value_name(name)
     flag = re.fullmatch(r"(--[\w.-]+), (--[\w.-]*no-[\w.-]+)", name)
     if not flag:
-        return Entry(name, _plain_text(text))
+        is_needed = name.startswith("-") and text.endswith("(required)")
+        return Entry(name, f"{_plain_text(text)} Required.".lstrip() if is_needed else _plain_text(text))
     text = text.replace("(default: True)", f"(default: yes; {flag[2]}: no)")
     return Entry(flag[1], _plain_text(text), flag[2])
 

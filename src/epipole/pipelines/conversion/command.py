@@ -19,7 +19,7 @@ def convert(
 
     Args:
         source: Output folder of a reconstruction, a COLMAP model, a transforms.json, or files of OpenSfM, Metashape, RealityScan, Bundler, kapture or Nuke; for splat a file of Gaussians.
-        target: A file for PLY, chan, USD and splat (.ply, .chan, .usdc, .spz ...), otherwise a new folder; all but COLMAP's formats also get their images.
+        target: A file for PLY, chan, USD and splat (.ply, .chan, .usdc, .spz ...), otherwise a new folder, to which all formats but COLMAP's also write the images.
         format: txt or bin (COLMAP), ply, transforms (nerfstudio), bundler, opensfm, metashape, realityscan, kapture, chan (Nuke), usd or splat; required unless the target's suffix determines it.
     """
     from epipole.io.convert import IMAGE_FOLDER, IMAGE_FOLDERS
