@@ -234,6 +234,15 @@ def test_check_points_above_another_surface_or_measured_wrongly_are_told():
     assert re.search(rf"the check point {one.surveyed.name[rows[0]]} was measured \+(0\.9|1\.0)", warning)
 
 
+def test_many_wrong_check_points_are_counted_and_the_farthest_named():
+    one, rows = usual(), np.flatnonzero(~usual().surveyed.is_control)
+    wrong = one.surveyed.position_m.copy()
+    wrong[rows, 0] += np.where(np.arange(len(rows)) < 3, 4.0, 0.5)
+    first, *named = adjusted(one, surveyed=with_positions(one.surveyed, wrong)).warnings
+    assert f"{len(rows)} check points are more than 4 standard deviations" in first
+    assert len(named) == 3 and all(f"{one.surveyed.name[row]} was" in " ".join(named) for row in rows[:3])
+
+
 @pytest.mark.parametrize("higher", [(0, 1), (0, 2, 4)])
 def test_control_points_above_two_surfaces_are_named(higher):
     """Two or three of five."""

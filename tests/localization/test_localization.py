@@ -122,7 +122,7 @@ def test_images_of_another_scene_alone_end_with_a_warning(photographs, workspace
         write_jpeg_with_exif(tmp_path / "others" / path.name, mirrored, focal_35mm=FOCAL_35MM)
     found = epipole.localize(tmp_path / "others", workspace, tmp_path / "out")
     assert found.num_localized == 0 and len(found.reasons) == 3
-    assert any("none of 3 images is localized" in warning for warning in found.warnings)
+    assert any("no image of 3 is localized" in warning for warning in found.warnings)
 
 
 @pytest.mark.parametrize("zoom", [1.06, 1.4])

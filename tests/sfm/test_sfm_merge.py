@@ -152,11 +152,12 @@ def test_a_scale_or_a_position_that_is_lost_is_a_warning(ring, tmp_path):
     (tmp_path / "metric" / "summary.json").write_text('{"anchor": {"relative_sigma": 0.01}}')
     metric = _Part(tmp_path / "metric", ring, ())
     for parts, words in (((bare, located), "has a position on Earth"), ((bare, metric), "is in meters")):
-        (note,) = _notes_on_scale(merged, parts)
+        (note,) = _notes_on_scale(merged, parts, is_measured=False)
         assert words in note and f"give {parts[1].root} first" in note
     for parts in ((bare, bare), (located, bare), (metric, bare)):
-        assert not _notes_on_scale(merged, parts)
-    (note,) = _notes_on_scale(merged, (metric, located))
+        assert not _notes_on_scale(merged, parts, is_measured=False)
+    assert not _notes_on_scale(merged, (bare, metric), is_measured=True)
+    (note,) = _notes_on_scale(merged, (metric, located), is_measured=True)
     assert "has a position on Earth" in note
 
 

@@ -22,7 +22,7 @@ from epipole.pipelines.sfm.rigs.assignment import assign_images
 from epipole.pipelines.sfm.rigs.lengths import CALIBRATION_SIGMA
 from epipole.pipelines.sfm.rigs.rig_model import with_rigs
 from epipole.scale import ScaleEstimate
-from epipole.scene import Reconstruction
+from epipole.scene import Georeference, Reconstruction
 from epipole.synthetic import courtyard, render
 from whole import IS_WHOLE
 
@@ -302,20 +302,42 @@ def test_images_are_assigned_by_the_longest_prefix():
         assign_images(("a/1.png",), [config])
 
 
-def write_pair_photographs(folder, rig_path) -> None:
-    """Photographs of a rendered pair with a known baseline of 0.3 m, and its rig file, with intrinsics."""
+def write_pair_photographs(folder, rig_path, count=4, stated=0.3, meters_per_unit=None) -> None:
+    """Photographs of a rendered pair with a baseline of 0.3 units, and its rig file, with intrinsics; with GPS if meters are given.
+
+    stated: the baseline in the rig file.
+    """
     right_from_left = Rigid3(np.eye(3), np.array([-0.3, 0.0, 0.0]))
-    views = neighboring_views(4)
+    views = neighboring_views(count)
+    origin = Georeference(46.5, 7.25, 500.0)
     for name, move in (("left", Rigid3.identity()), ("right", right_from_left)):
         (folder / name).mkdir(parents=True)
         for k in range(len(views)):
             image = render(courtyard(), CAMERA, move @ views[k], noise_sigma=1.5, seed=k)
-            write_jpeg_with_exif(folder / name / f"{k}.jpg", image.rgb, focal_35mm=FOCAL_35MM)
+            gps = None
+            if meters_per_unit is not None:
+                center = (move @ views[k]).centers()[None]
+                lat_deg, lon_deg, alt_m = origin.lat_lon_alt_of(meters_per_unit * center)[0].tolist()
+                gps = (lat_deg, lon_deg, alt_m)
+            write_jpeg_with_exif(folder / name / f"{k}.jpg", image.rgb, focal_35mm=FOCAL_35MM, gps=gps)
     f, cx, cy, k1 = CAMERA.params.tolist()
     known = {"camera_model_name": "SIMPLE_RADIAL", "camera_params": [f, cx + 0.5, cy + 0.5, k1]}
     left = {"image_prefix": "left/", "ref_sensor": True, **known}
-    pose = {"cam_from_rig_rotation": [1, 0, 0, 0], "cam_from_rig_translation": [-0.3, 0, 0]}
+    pose = {"cam_from_rig_rotation": [1, 0, 0, 0], "cam_from_rig_translation": [-stated, 0, 0]}
     rig_path.write_text(json.dumps([{"cameras": [left, {"image_prefix": "right/", **pose, **known}]}]))
+
+
+@pytest.mark.parametrize(("stated", "is_used"), [(6.0, True), (600.0, False)])
+def test_photographs_with_gps_and_a_rig_file_in_meters_and_in_centimeters(tmp_path, stated, is_used):
+    write_pair_photographs(tmp_path / "photographs", tmp_path / "rig.json", 5, stated, meters_per_unit=20.0)
+    result = reconstruct(tmp_path / "photographs", tmp_path / "out", rigs=tmp_path / "rig.json")
+    assert result.summary["is_metric"] and result.model.georeference is not None
+    assert ("rigs" in result.summary["scale"]) == is_used and (len(result.model.frames) == 5) == is_used
+    assert any("the rigs are not used" in warning for warning in result.warnings) != is_used
+    centers, true = result.model.camera_centers_in_world(), neighboring_views(5).centers()
+    left = [result.model.images.name.index(f"left/{k}.jpg") for k in range(5)]
+    span, expected = np.linalg.norm(np.ptp(centers[left], axis=0)), np.linalg.norm(np.ptp(true, axis=0))
+    assert span == pytest.approx(20.0 * expected, rel=0.05)
 
 
 def test_photographs_of_a_pair_become_a_model_in_meters(tmp_path):

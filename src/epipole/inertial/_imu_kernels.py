@@ -147,7 +147,7 @@ def integrate(dt, gyro, accel, densities, out):
             _transition(h, x, y, z, increment, lever, change)
             _noise_of_step(h, x, y, z, r, lever, by_noise)
             _multiply(change, covariance[m], once)
-            _grow(once, change, by_noise, densities, h, covariance[m])
+            _propagate(once, change, by_noise, densities, h, covariance[m])
             _multiply(change, by_bias[m], by_before)
             for i in range(9):
                 for j in range(6):
@@ -160,7 +160,7 @@ def integrate(dt, gyro, accel, densities, out):
 
 
 @kernel
-def _grow(once, change, by_noise, densities, h, covariance):
+def _propagate(once, change, by_noise, densities, h, covariance):
     """Write once @ change^T + the noise of a step of h seconds."""
     for i in range(9):
         for j in range(9):

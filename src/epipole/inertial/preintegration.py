@@ -100,6 +100,7 @@ def _steps(log: ImuLog, instants_s: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 
 def _integrated(dt: np.ndarray, gyro: np.ndarray, accel: np.ndarray, noise: ImuNoise) -> Preintegrated:
+    """Integrate the intervals of `_steps`."""
     m = len(dt)
     out = np.empty((m, 3, 3)), np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 9, 9)), np.empty((m, 9, 6))
     densities = np.array([noise.gyro_density**2, noise.accel_density**2])

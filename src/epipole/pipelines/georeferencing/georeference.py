@@ -35,7 +35,9 @@ BROKEN, BROKEN_PX = 2.0, 2.0
 MARK_RMS = 4.0
 """RMS error of the observations of a control point, in their standard deviations, above which its coordinates contradict them."""
 CONTROL_SIGMAS = 4.0
-"""Residual of a control point against all others, in standard deviations, above which a warning is given."""
+"""Residual of a control point against all others, or of a check point, in standard deviations, above which a warning is given."""
+MOST_NAMED = 3
+"""Check points with a warning of their own."""
 
 
 class PointRole(StrEnum):
@@ -241,7 +243,7 @@ def _control_warnings(
 def _check_warnings(
     names: Sequence[str], residuals_m: np.ndarray, sigmas_m: np.ndarray, is_check: np.ndarray
 ) -> list[str]:
-    """Check points that the result does not put where they were measured; a common height is said once."""
+    """Check points that the result does not put where they were measured: a common height, or the farthest by name."""
     with np.errstate(invalid="ignore"):
         ratio = np.nan_to_num(np.abs(residuals_m / sigmas_m))
     rows = np.flatnonzero(is_check & (ratio.max(axis=1) > CONTROL_SIGMAS))
@@ -251,12 +253,17 @@ def _check_warnings(
             f"{len(rows)} check points were measured {abs(constant_m):.1f} m {'lower' if constant_m > 0 else 'higher'} than the result "
             f"puts them, and fit horizontally; their heights and those of the other measurements do not go together: {SURFACES}"
         ]
-    out = []
-    for row in rows.tolist():
+    farthest, out = rows[np.argsort(-ratio[rows].max(axis=1), kind="stable")], []
+    if len(farthest) > MOST_NAMED:
+        out.append(
+            f"{len(farthest)} check points are more than {CONTROL_SIGMAS:g} standard deviations from where the result puts them; the report "
+            "lists all, and the farthest follow"
+        )
+    for row in farthest[:MOST_NAMED].tolist():
         east, north, up = (f"{value:+.2f}" for value in np.nan_to_num(-residuals_m[row]))
         out.append(
             f"the check point {names[row]} was measured {east} m east, {north} m north and {up} m up of where the result puts it, "
-            f"{ratio[row].max():.0f} standard deviations: it, the control points or the stated standard deviations are wrong"
+            f"{ratio[row].max():.0f} standard deviations: it, what determines the result, or the stated standard deviations are wrong"
         )
     return out
 

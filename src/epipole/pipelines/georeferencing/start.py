@@ -267,7 +267,7 @@ def _misfit(names: list[str], source: np.ndarray, target: np.ndarray) -> str:
 def _offset_warnings(offset_m: np.ndarray, gps: GpsFixes) -> list[str]:
     """Offsets of GPS that its standard deviations do not explain; those of RTK receivers are centimeters."""
     out = []
-    sigma_m = np.nan_to_num(np.nanmedian(gps.sigma_m, axis=0), nan=np.inf)
+    sigma_m = np.median(gps.sigma_m[np.isfinite(gps.position_m[:, :2]).all(axis=1)], axis=0)
     limit_m = np.maximum(LEAST_OFFSET_M, OFFSET_SIGMAS * sigma_m)
     horizontal_m, up_m = float(np.hypot(*offset_m[:2])), float(offset_m[2])
     if horizontal_m > min(DIFFERENT_M, float(limit_m[:2].max())):

@@ -286,7 +286,7 @@ def _warnings(
     out = []
     if found and not any(image.success for image in found):
         out.append(
-            f"none of {plural(len(found), 'image')} is localized: they may not show what the model shows; the reasons are in the summary"
+            f"no image of {len(found)} is localized: they may not show what the model shows; the summary has the reasons"
         )
     wrong = [
         k

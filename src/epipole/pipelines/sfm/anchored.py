@@ -148,7 +148,7 @@ def _fixes(mapped: Mapped, images: ImageSet) -> np.ndarray:
 
 
 def gps_estimate(mapped: Mapped, images: ImageSet, config: ReconstructConfig) -> ScaleEstimate | None:
-    """Scale estimate of a largest model that GPS has made metric: one, with its standard deviation."""
+    """Scale estimate of the largest model, if GPS has made it metric: one, with its standard deviation."""
     if mapped.gps[0] is None:
         return None
     centers, fixes = mapped.models[0].camera_centers_in_world(), _fixes(mapped, images)

@@ -98,7 +98,8 @@ def merge(
             tuple(EarlierDatabase(part.root / DATABASE, own) for part, own in zip(parts, names)),
         )
         solution = solve(run.root / PHOTOGRAPHS, run, config, earlier)
-        run.warnings += [*_notes(solution, parts, names), *_notes_on_scale(solution, parts)]
+        run.warnings += _notes(solution, parts, names)
+        run.warnings += _notes_on_scale(solution, parts, is_measured=_measures_scale(config))
         if config.rigs is None:
             run.warnings += _notes_on_rigs(parts)
         return finish_reconstruction(solution, run, config, parts[0].root)
@@ -228,16 +229,25 @@ def _notes_on_rigs(parts: Sequence[_Part]) -> list[str]:
     ]
 
 
-def _notes_on_scale(solution: Solution, parts: Sequence[_Part]) -> list[str]:
-    """A warning if the first model, whose coordinates stay, is without the scale or the position on Earth that another one has."""
-    if "grown" not in solution.mapped.methods or solution.mapped.models[0].georeference is not None:
+def _measures_scale(config: ReconstructConfig) -> bool:
+    """Whether the options give the merged model its own scale."""
+    return config.rigs is not None or not config.anchors.is_empty
+
+
+def _notes_on_scale(solution: Solution, parts: Sequence[_Part], *, is_measured: bool) -> list[str]:
+    """A warning if the first model, whose coordinates stay, is without the scale or the position on Earth that another one has.
+
+    is_measured: whether the merged model gets a scale otherwise.
+    """
+    methods = solution.mapped.methods
+    if "grown" not in methods or solution.mapped.models[methods.index("grown")].georeference is not None:
         return []
     is_metric = [
         part.model.georeference is not None or scale_of_workspace(part.root) is not None for part in parts
     ]
     if (better := next((k for k, part in enumerate(parts) if part.model.georeference is not None), 0)) > 0:
         lost = "has a position on Earth, which the merged model has not"
-    elif not is_metric[0] and any(is_metric):
+    elif not is_measured and not is_metric[0] and any(is_metric):
         better, lost = is_metric.index(True), "is in meters, and the merged model is not"
     else:
         return []
