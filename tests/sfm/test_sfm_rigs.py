@@ -15,6 +15,7 @@ from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3, Similarity3
 from epipole.io.colmap.model import read_colmap_model
 from epipole.io.colmap.rig_config import RigConfig, RigSensor, read_rig_config
+from epipole.io.images.name_patterns import NamePattern
 from epipole.io.images.photographs import write_jpeg_with_exif
 from epipole.mapping import adjust_reconstruction
 from epipole.pipelines.sfm.config import MapperConfig
@@ -86,7 +87,9 @@ def _of_four_cameras(model: Reconstruction) -> Reconstruction:
 
 
 def rig(geometry: list[Rigid3 | None]) -> RigConfig:
-    return RigConfig(tuple(RigSensor(f"cam{s}/", pose, None, ()) for s, pose in enumerate(geometry)))
+    return RigConfig(
+        tuple(RigSensor(NamePattern(f"cam{s}/"), pose, None, ()) for s, pose in enumerate(geometry))
+    )
 
 
 KNOWN = rig([GEOMETRY[s] for s in range(4)])
@@ -295,11 +298,40 @@ def test_cameras_that_move_are_no_rig():
 
 
 def test_images_are_assigned_by_the_longest_prefix():
-    config = RigConfig((RigSensor("a/", Rigid3.identity(), None, ()), RigSensor("a/b", None, None, ())))
+    sensors = (
+        RigSensor(NamePattern("a/"), Rigid3.identity(), None, ()),
+        RigSensor(NamePattern("a/b"), None, None, ()),
+    )
+    config = RigConfig(sensors)
     found = assign_images(("a/1.png", "a/b1.png", "c/1.png", "a/2.png"), [config])
     assert found.sensor.tolist() == [0, 1, -1, 0] and found.frame.tolist() == [0, 0, -1, 1]
-    with pytest.raises(ConfigError, match="no image name starts with the prefix 'a/b'"):
+    with pytest.raises(ConfigError, match="no image name has the prefix 'a/b'"):
         assign_images(("a/1.png",), [config])
+
+
+def test_images_are_assigned_by_wildcards(tmp_path):
+    cameras = [{"image_pattern": "*_left.jpg", "ref_sensor": True}, {"image_pattern": "*_right.jpg"}]
+    (tmp_path / "rig.json").write_text(json.dumps([{"cameras": cameras}]))
+    rigs = read_rig_config(tmp_path / "rig.json")
+    found = assign_images(("a/1_left.jpg", "a/1_right.jpg", "b/1_right.jpg", "b/1_left.jpg", "a/1.jpg"), rigs)
+    assert found.sensor.tolist() == [0, 1, 1, 0, -1] and found.frame.tolist() == [0, 0, 1, 1, -1]
+    with pytest.raises(ConfigError, match=r"no image name has the pattern '\*_right.jpg'"):
+        assign_images(("1_left.jpg",), rigs)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "name", "rest"),
+    [
+        ("IMG_*_?.jpg", "IMG_0012_L.jpg", ("", "0012", "L")),
+        ("IMG_*_?.jpg", "day 1/IMG_0012_L.jpg", ("day 1/", "0012", "L")),
+        ("*/cam0/*.png", "a/cam0/b.png", ("", "a", "b")),
+        ("*.png", "a.jpg", None),
+        ("a.?", "ab1", None),  # a dot is a dot
+        ("*[1].png", "x[1].png", ("", "x")),
+    ],
+)
+def test_what_wildcards_leave_open(pattern, name, rest):
+    assert NamePattern(pattern, has_wildcards=True).rest_of(name) == rest
 
 
 def write_pair_photographs(folder, rig_path, count=4, stated=0.3, meters_per_unit=None) -> None:
@@ -364,7 +396,12 @@ def test_photographs_of_a_pair_become_a_model_in_meters(tmp_path):
         ({}, "expected a list of rigs"),
         ([{}], "needs a list of cameras"),
         ([{"cameras": [{"image_prefix": "a/"}]}], "one camera with ref_sensor true, it has 0"),
-        ([{"cameras": [{"ref_sensor": True}]}], "needs an image_prefix"),
+        ([{"cameras": [{"ref_sensor": True}]}], "needs either an image_prefix"),
+        (
+            [{"cameras": [{"image_prefix": "a", "image_pattern": "a*", "ref_sensor": True}]}],
+            "needs either an image_prefix",
+        ),
+        ([{"cameras": [{"image_pattern": "a", "ref_sensor": True}]}], "has no wildcard"),
         ([{"cameras": [{"image_prefix": "a", "ref_sensor": True, "shutter": 1}]}], "unknown key 'shutter'"),
         (
             [{"cameras": [{"image_prefix": "a", "ref_sensor": True}, {"image_prefix": "a"}]}],

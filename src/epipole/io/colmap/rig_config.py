@@ -5,7 +5,8 @@
                    "camera_model_name": "PINHOLE", "camera_params": [707.1, 707.1, 601.9, 183.1]}]}]
 
 Rotations are quaternions (w, x, y, z). Images whose names differ only in the prefix are of one frame. One camera of each rig is its
-reference, whose pose in the rig is the identity.
+reference, whose pose in the rig is the identity. Instead of `image_prefix`, which is all that COLMAP reads, a camera can have an
+`image_pattern` with the wildcards * and ?: `"*_left.jpg"`. Images of one frame are those for which the wildcards are the same.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.io.colmap.cameras import params_from_colmap
 from epipole.io.files import read_json
+from epipole.io.images.name_patterns import NamePattern
 
 _KNOWN_KEYS = {
     "image_prefix",
+    "image_pattern",
     "ref_sensor",
     "cam_from_rig_rotation",
     "cam_from_rig_translation",
@@ -39,8 +42,8 @@ _KNOWN_KEYS = {
 class RigSensor:
     """A camera of a rig."""
 
-    prefix: str
-    """Start of the names of its images."""
+    images: NamePattern
+    """Names of its images."""
     cam_from_rig: Rigid3 | None
     """Its pose in the rig, identity for the reference; None if it is unknown."""
     camera_model: CameraModel | None
@@ -66,17 +69,17 @@ def read_rig_config(path: str | Path) -> tuple[RigConfig, ...]:
     """Read the rigs of a file.
 
     Raises:
-        FileFormatError: the file is malformed, a rig has no or several references, or a prefix occurs twice.
+        FileFormatError: the file is malformed, a rig has no or several references, or a prefix or pattern occurs twice.
     """
     path = Path(path)
     content = read_json(path)
     if not isinstance(content, list) or not content:
         raise FileFormatError(path, "expected a list of rigs, as in COLMAP's rig_config.json")
     rigs = tuple(_rig(path, number, entry) for number, entry in enumerate(content, 1))
-    prefixes = [sensor.prefix for rig in rigs for sensor in rig.sensors]
-    twice = next((p for n, p in enumerate(prefixes) if p in prefixes[:n]), None)
+    given = [sensor.images for rig in rigs for sensor in rig.sensors]
+    twice = next((one for n, one in enumerate(given) if one in given[:n]), None)
     if twice is not None:
-        raise FileFormatError(path, f"the image prefix {twice!r} is given twice")
+        raise FileFormatError(path, f"the image {twice.in_words} is given twice")
     return rigs
 
 
@@ -100,10 +103,8 @@ def _sensor(path: Path, where: str, camera: Mapping[str, Any], *, is_reference: 
     unknown = sorted(set(camera) - _KNOWN_KEYS)
     if unknown:
         raise FileFormatError(path, f"{where}: unknown key {unknown[0]!r} of a camera")
-    prefix = camera.get("image_prefix")
-    if not isinstance(prefix, str) or not prefix:
-        raise FileFormatError(path, f"{where}: a camera needs an image_prefix, the start of its image names")
-    where = f"{where}, camera {prefix!r}"
+    images = _image_names(path, where, camera)
+    where = f"{where}, camera {images.text!r}"
     model, params = _intrinsics(path, where, camera)
     rotation, translation = camera.get("cam_from_rig_rotation"), camera.get("cam_from_rig_translation")
     if (rotation is None) != (translation is None):
@@ -115,9 +116,23 @@ def _sensor(path: Path, where: str, camera: Mapping[str, Any], *, is_reference: 
             raise FileFormatError(
                 path, f"{where}: the reference defines the rig, so its pose must be the identity"
             )
-        return RigSensor(prefix, Rigid3.identity(), model, params)
+        return RigSensor(images, Rigid3.identity(), model, params)
     pose = None if rotation is None else _pose(path, where, rotation, translation)
-    return RigSensor(prefix, pose, model, params)
+    return RigSensor(images, pose, model, params)
+
+
+def _image_names(path: Path, where: str, camera: Mapping[str, Any]) -> NamePattern:
+    prefix, pattern = camera.get("image_prefix"), camera.get("image_pattern")
+    text = prefix if pattern is None else pattern
+    if not isinstance(text, str) or not text or (prefix is not None and pattern is not None):
+        raise FileFormatError(
+            path,
+            f"{where}: a camera needs either an image_prefix, the start of its image names, or an image_pattern",
+        )
+    images = NamePattern(text, has_wildcards=pattern is not None)
+    if images.has_wildcards and not images.num_wildcards:
+        raise FileFormatError(path, f"{where}: the image_pattern {text!r} has no wildcard (* or ?)")
+    return images
 
 
 def _pose(path: Path, where: str, rotation: Any, translation: Any) -> Rigid3:

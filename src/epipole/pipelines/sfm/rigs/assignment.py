@@ -1,4 +1,4 @@
-"""Which rig, sensor and frame each image belongs to, by the start of its name."""
+"""Which rig, sensor and frame each image belongs to, by its name."""
 
 from __future__ import annotations
 
@@ -26,35 +26,44 @@ class RigAssignment:
     rig_of_sensor: Int32[np.ndarray, " s"]
     sensor: Int32[np.ndarray, " n"]
     frame: Int32[np.ndarray, " n"]
-    """Images of one rig whose names differ only in the prefix have the same frame."""
+    """Images of one rig whose names differ only in the prefix, or agree in the wildcards, have the same frame."""
 
     def reference_of(self, sensor: int) -> int:
         """The reference of a sensor's rig: its first sensor."""
         return int(np.flatnonzero(self.rig_of_sensor == self.rig_of_sensor[sensor])[0])
 
+    def notes_on_names(self, names: Sequence[str]) -> list[str]:
+        """A note on images whose names are none of those in the rig file."""
+        others = np.flatnonzero(self.sensor < 0)
+        if not len(others):
+            return []
+        return [
+            f"{len(others)} of {len(names)} images are of no rig, because no camera of the rig file has their names "
+            f"({names[others[0]]}{' and so on' if len(others) > 1 else ''})"
+        ]
+
 
 def assign_images(names: Sequence[str], rigs: Sequence[RigConfig]) -> RigAssignment:
-    """Find the sensor and the frame of each image; the longest prefix counts.
+    """Find the sensor and the frame of each image; the longest prefix or pattern counts.
 
     Raises:
-        ConfigError: a prefix matches no image.
+        ConfigError: a prefix or pattern matches no image.
     """
     sensors = [sensor for rig in rigs for sensor in rig.sensors]
     rig_of_sensor = np.repeat(np.arange(len(rigs)), [len(rig.sensors) for rig in rigs]).astype(np.int32)
     sensor, frame = np.full(len(names), -1, np.int32), np.full(len(names), -1, np.int32)
-    frames: dict[tuple[int, str], int] = {}
+    frames: dict[tuple[int, tuple[str, ...]], int] = {}
     for k, name in enumerate(names):
-        own = [s for s, one in enumerate(sensors) if name.startswith(one.prefix)]
-        if not own:
+        rests = {s: rest for s, one in enumerate(sensors) if (rest := one.images.rest_of(name)) is not None}
+        if not rests:
             continue
-        best = max(own, key=lambda s: len(sensors[s].prefix))
+        best = max(rests, key=lambda s: sensors[s].images.num_fixed)
         sensor[k] = best
-        key = (int(rig_of_sensor[best]), name[len(sensors[best].prefix) :])
-        frame[k] = frames.setdefault(key, len(frames))
+        frame[k] = frames.setdefault((int(rig_of_sensor[best]), rests[best]), len(frames))
     for s, one in enumerate(sensors):
         if not (sensor == s).any():
             raise ConfigError(
-                f"no image name starts with the prefix {one.prefix!r} of the rigs; the names are {', '.join(names[:3])} and so on"
+                f"no image name has the {one.images.in_words} of the rigs; the names are {', '.join(names[:3])} and so on"
             )
     return RigAssignment(tuple(sensors), rig_of_sensor, sensor, frame)
 
@@ -68,7 +77,7 @@ def with_rig_cameras(
     """Give each sensor its own camera, with the intrinsics of the rig file where it has them.
 
     Raises:
-        ConfigError: a prefix matches no image, or images of one sensor with known intrinsics have different sizes.
+        ConfigError: a prefix or pattern matches no image, or images of one sensor with known intrinsics have different sizes.
     """
     assignment = assign_images(tuple(headers), rigs)
     rows, out = list(range(len(grouped.cameras))), grouped.camera_of_image.copy()
@@ -101,7 +110,7 @@ def _known_camera(sensor: RigSensor, headers: Sequence[PhotographHeader]) -> Cam
     sizes = sorted({(header.width, header.height) for header in headers})
     if len(sizes) > 1:
         raise ConfigError(
-            f"the images {sensor.prefix}... have known intrinsics, but different sizes: "
+            f"the images with the {sensor.images.in_words} have known intrinsics, but different sizes: "
             f"{', '.join(f'{w}x{h}' for w, h in sizes)}"
         )
     assert sensor.camera_model is not None

@@ -57,7 +57,7 @@ class RigModel:
     scale: ScaleEstimate | None
     """If the known geometry of a rig makes the model metric."""
     geometry: dict[str, dict[str, Any]]
-    """By prefix of each sensor: its pose in the rig and, if estimated, the standard deviations of position and rotation."""
+    """By prefix or pattern of each sensor: its pose in the rig and, if estimated, the standard deviations of position and rotation."""
     notes: tuple[str, ...]
 
 
@@ -76,6 +76,7 @@ def with_rigs(
         metric: scale of a model that is in meters already; rigs that contradict it are not used.
     """
     usable, notes = _usable_sensors(model, assignment)
+    notes = assignment.notes_on_names(model.images.name) + notes
     ratios = _length_ratios(model, assignment, usable)
     wrong = contradictory_lengths(ratios)
     notes += [_not_used(assignment, s, why) for s, why in wrong.items()]
@@ -104,7 +105,7 @@ def with_rigs(
         total_sigma = float(np.hypot(relative_sigma, CALIBRATION_SIGMA))
         scale = ScaleEstimate("rig", words, 1.0, total_sigma, 0.0, words)
     entries = {
-        assignment.sensors[s].prefix: {
+        assignment.sensors[s].images.text: {
             **_entry(adjusted.rigs.cam_from_rig[row], sigmas.get(row)),
             "is_reference": _is_reference(assignment, s),
         }
@@ -155,7 +156,7 @@ def _several_cameras(model: Reconstruction, assignment: RigAssignment, sensor: i
 
 
 def _not_used(assignment: RigAssignment, sensor: int, why: str) -> str:
-    return f"the rig is not used for the images {assignment.sensors[sensor].prefix}...: {why}"
+    return f"the rig is not used for the images with the {assignment.sensors[sensor].images.in_words}: {why}"
 
 
 def _length_ratios(
