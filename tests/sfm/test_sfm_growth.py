@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from epipole import reconstruct
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, WorkspaceError
 from epipole.geometry import align_points
 from epipole.io.colmap.model import read_colmap_model, write_colmap_model
 from epipole.pipelines.sfm.matching import match_stage
+from epipole.runs import overwriting
+from epipole.runs.folder import MARK
 
 
 @pytest.fixture(scope="session")
@@ -118,3 +120,21 @@ def test_a_model_that_did_not_grow_is_reported(work):
         path.rename(path.with_name(f"renamed_{number}.jpg"))  # no image of the earlier model has its name
     found = reconstruct(work / "images", work / "out", grow=True)
     assert any("mapped anew" in warning for warning in found.warnings)
+
+
+def test_a_model_grows_from_another_folder_of_images(work, rendered):
+    """The further images are in a new folder, with copies of the earlier ones."""
+    found = reconstruct(rendered, work / "out", grow=True)
+    assert found.summary["models"][0]["mapper"] == "grown" and found.model.is_registered().sum() == 6
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"), [("georeference", "georeference it again"), ("merge", "merge the two")]
+)
+def test_models_of_other_commands_do_not_grow_and_stay(work, kind, words):
+    mark = work / "out" / MARK
+    mark.write_text(mark.read_text().replace('"kind": "reconstruct"', f'"kind": "{kind}"'))
+    before = {path: path.read_bytes() for path in (work / "out").rglob("*") if path.is_file()}
+    with overwriting(), pytest.raises(WorkspaceError, match=words):
+        reconstruct(work / "images", work / "out", grow=True)
+    assert {path: path.read_bytes() for path in (work / "out").rglob("*") if path.is_file()} == before

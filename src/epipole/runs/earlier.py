@@ -1,14 +1,41 @@
-"""Protection of an earlier result from being silently replaced with a poorer one."""
+"""Earlier results in an output folder: continued by a run with other inputs, and not silently replaced with poorer ones."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from epipole.errors import FileFormatError, WorkspaceError
 from epipole.io.files import read_json
+from epipole.runs.folder import read_mark
 from epipole.runs.guard import is_overwriting
+from epipole.runs.source import Source
 
 SUMMARY = "summary.json"
+
+
+def continue_with(root: Path, kind: str, inputs: Sequence[Path], advice: Mapping[str, str]) -> None:
+    """Let a run with other inputs continue the results in its output folder, such as a model that grows.
+
+    Args:
+        root: the output folder.
+        kind: the command that continues its own results.
+        inputs: its present files and folders.
+        advice: by other commands: what to do instead.
+
+    Raises:
+        WorkspaceError: the results are of another command.
+    """
+    mark = read_mark(root)
+    if mark is None:
+        return
+    if mark.kind != kind:
+        raise WorkspaceError(
+            f"{root} contains the results of `epipole {mark.kind}`, which cannot be continued"
+            + (f": {advice[mark.kind]}" if mark.kind in advice else "")
+        )
+    mark.source = Source.of(inputs, root)
+    mark.save()
 
 
 def earlier_number(root: Path, name: str) -> float | None:

@@ -16,7 +16,7 @@ from epipole.errors import ConfigError, FileFormatError, NoModelError
 from epipole.io.colmap.rig_config import read_rig_config
 from epipole.pipelines.sfm.anchored import gps_estimate, scale_of_workspace, with_scale
 from epipole.pipelines.sfm.config import ReconstructConfig
-from epipole.pipelines.sfm.mappers.growth import Earlier
+from epipole.pipelines.sfm.mappers.growth import Earlier, earlier_model_in
 from epipole.pipelines.sfm.mapping_stage import reasons_in_words
 from epipole.pipelines.sfm.notes import (
     absences_of,
@@ -45,10 +45,16 @@ from epipole.runs import (
     joined,
     open_run,
 )
-from epipole.runs.earlier import note_on_poorer
+from epipole.runs.earlier import continue_with, note_on_poorer
 from epipole.scale import ScaleEstimate, check_anchor_files
 from epipole.scene import Reconstruction
 from epipole.scene.notebook import table_html
+
+GROW_INSTEAD = {
+    "georeference": "grow the model that it was made from, and georeference it again",
+    "merge": "reconstruct the further images together with some that overlap them, and merge the two models",
+}
+"""What to do with models of other commands."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +123,9 @@ def reconstruct(
         opencv_alone=True,
         has_log=True,
     )
+    if config.grow:
+        earlier_model_in(out)  # before anything there changes
+        continue_with(out, job.kind, job.inputs, GROW_INSTEAD)
     with open_run(job, out) as run:
         earlier = Earlier.of_output(run.root) if config.grow else None
         solution = solve(source, run, config, earlier)
