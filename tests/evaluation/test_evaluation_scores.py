@@ -16,6 +16,9 @@ def test_a_scaled_copy_has_its_scale_and_no_error(tmp_path):
     write_colmap_model(moved, tmp_path / "scaled")
     found = epipole.evaluate(tmp_path / "scaled", tmp_path / "truth")
     assert found.scale == pytest.approx(1.0 / 0.98)
+    centers = truth.camera_centers_in_world()
+    spread = np.sqrt(np.mean(np.sum((centers - centers.mean(axis=0)) ** 2, axis=1)))
+    assert found.position_rmse_same_scale == pytest.approx(0.02 * spread)
     assert found.position_rmse < 1e-9 and list(found.auc) == [0.5, 1, 3, 5, 10]
     assert min(found.auc.values()) > 0.999
 

@@ -11,13 +11,16 @@ from epipole.errors import FileFormatError
 from epipole.fields.splat.rasterizer import render
 from epipole.geometry import Rigid3
 from epipole.io.gaussians.files import read_gaussians, write_gaussians
+from epipole.io.georeference import georeference_fields
 from epipole.io.models.transforms import read_transforms
 from epipole.pipelines.fields.cameras import render_views_of_model
 from epipole.pipelines.fields.config import RenderConfig
 from epipole.pipelines.fields.scene import scene as viewer_scene
 from epipole.pipelines.fields.scene import seen_gaussians
+from epipole.scene import Georeference
 from epipole.scene.local_origin import local_origin
 
+ORIGIN = Georeference(46.5, 7.25, 500.0)
 UTM = np.array([500_000.0, 5_200_000.0, 300.0])
 OPTIONS = {"steps": 40, "max_gaussians": 300, "sh_degree": 0, "test_every": 7}
 
@@ -33,7 +36,8 @@ def results(tmp_path_factory):
             matrix = np.array(frame["transform_matrix"])
             matrix[:3, 3] += offset
             frame["transform_matrix"] = matrix.tolist()
-        (folder / "transforms.json").write_text(json.dumps(camera() | {"frames": frames}))
+        located = {"georeference": georeference_fields(ORIGIN)} if name == "far" else {}
+        (folder / "transforms.json").write_text(json.dumps(camera() | located | {"frames": frames}))
         out.append((folder, splat(folder, folder / "out", **OPTIONS)))
     return out
 
@@ -57,6 +61,7 @@ def test_files_state_their_origin_and_are_read_back(results):
     model, truth = read_transforms(out / "cameras.json"), read_transforms(source / "transforms.json")
     rows = [truth.images.name.index(name.removeprefix("images/")) for name in model.images.name]
     wanted = truth.camera_centers_in_world()[rows]
+    assert model.georeference == ORIGIN
     np.testing.assert_allclose(model.camera_centers_in_world(), wanted, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(
         json.loads((out / "summary.json").read_text())["origin_in_world"], given["origin_in_world"]

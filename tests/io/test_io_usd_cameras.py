@@ -11,8 +11,9 @@ from pxr import Usd, UsdGeom
 from epipole.cameras import Camera, CameraModel
 from epipole.errors import ConfigError, MissingDependencyError, ShapeError
 from epipole.geometry import Rigid3
+from epipole.io.georeference import georeference_of_fields
 from epipole.io.meshes.usd_cameras import write_usd_cameras
-from epipole.scene import Cameras, Reconstruction
+from epipole.scene import Cameras, Georeference, Reconstruction
 from io_models import mappable_model, small_model
 
 UP = np.array([0.3, -1.0, 0.2])
@@ -134,6 +135,14 @@ def test_points_and_colors(tmp_path: Path) -> None:
     np.testing.assert_allclose(colors[0], [0.0, 0.0030353, 1.0], rtol=1e-4)
     assert colors[1][0] == pytest.approx(0.5028865, rel=1e-5)
     assert points.GetWidthsInterpolation() == "constant" and len(points.GetWidthsAttr().Get()) == 1
+
+
+def test_the_position_on_earth_is_in_the_layer(tmp_path: Path) -> None:
+    origin = Georeference(46.5, 7.25, 500.0, "EPSG:32632")
+    write_usd_cameras(tmp_path / "a.usda", replace(undistorted(small_model()), georeference=origin))
+    stage = opened(tmp_path / "a.usda")
+    content = stage.GetRootLayer().customLayerData["georeference"]
+    assert georeference_of_fields("a.usda", dict(content)) == origin
 
 
 def test_far_coordinates_keep_their_precision(tmp_path: Path) -> None:

@@ -19,6 +19,9 @@ from epipole.io.colmap.model import read_colmap_model, write_colmap_model
 from epipole.io.images.photographs import read_rgb, write_jpeg_with_exif
 from epipole.pipelines.localization.extended_model import names_in_model, with_localized
 from epipole.pipelines.localization.localized_image import LocalizationReason
+from epipole.pipelines.localization.query_cameras import QueryCamera
+from epipole.pipelines.localization.results import image_summary
+from epipole.scene import Georeference
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +81,17 @@ def test_the_files_have_the_same_poses(result):
         assert np.allclose([float(w) for w in words[1:5]], entry["quaternion_wxyz"])
         assert entries[name]["focal_source"] == "the model's camera"
         assert np.shape(entries[name]["covariance"]) == (6, 6)
+
+
+def test_a_position_in_a_georeferenced_model_has_latitude_and_longitude(result, workspace):
+    origin = Georeference(46.5, 7.25, 500.0)
+    model = read_colmap_model(workspace / "sparse" / "0")
+    camera = QueryCamera(model.cameras[0], is_known=True, is_given=False, source="")
+    image = next(iter(result.images.values()))
+    assert "lat_lon_alt" not in image_summary(image, model, camera=camera)
+    entry = image_summary(image, replace(model, georeference=origin), camera=camera)
+    in_world = origin.enu_of(np.array([entry["lat_lon_alt"]]))[0]
+    assert np.allclose(in_world, image.position_in_world(), atol=1e-6)
 
 
 def test_one_image_from_python(localizer, photographs, result):

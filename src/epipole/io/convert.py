@@ -75,7 +75,7 @@ _NOT_STORED = {
     "realityscan": (_POINTS, _RIGS, _POSITION, _TIMES, _ASPECT),
     "kapture": (_POSITION, _TIMES),
     "chan": (_POINTS, _POSITION, _TIMES, _ASPECT, _PRINCIPAL_POINT),
-    "usd": (_TRACKS, _RIGS, _POSITION, _TIMES),
+    "usd": (_TRACKS, _RIGS, _TIMES),
 }
 """Content of a model that a format cannot store."""
 

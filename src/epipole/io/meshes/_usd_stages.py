@@ -16,10 +16,14 @@ import numpy as np
 
 from epipole.errors import ConfigError, EpipoleError, MissingDependencyError, ShapeError
 from epipole.io.atomic import atomic_write
+from epipole.io.georeference import georeference_fields
 from epipole.io.meshes.gltf import UP, y_from_up
+from epipole.scene import Georeference
 from epipole.scene.local_origin import ORIGIN
 
 SUFFIXES = (".usdz", ".usdc", ".usda")
+GEOREFERENCE = "georeference"
+"""Key in `customLayerData` of the position of the world's origin on Earth, with the content of georeference.json."""
 ROOT = "/model"
 """Path of the root prim."""
 _METERS_PER_UNIT = 1.0
@@ -62,8 +66,17 @@ def usd_modules() -> Any:
     return SimpleNamespace(Gf=Gf, Kind=Kind, Sdf=Sdf, Usd=Usd, UsdGeom=UsdGeom, UsdShade=UsdShade, Vt=Vt)
 
 
-def new_stage(pxr: Any, origin: np.ndarray, up: np.ndarray | None) -> Any:
-    """A stage in memory with the root prim, whose rotation maps the up direction to +Y."""
+def new_stage(
+    pxr: Any, origin: np.ndarray, up: np.ndarray | None, georeference: Georeference | None = None
+) -> Any:
+    """A stage in memory with the root prim, whose rotation maps the up direction to +Y.
+
+    Args:
+        pxr: modules of `usd_modules`.
+        origin: origin of the coordinates in the world, recorded unless it is zero.
+        up: up direction in the world; None: no rotation.
+        georeference: position of the world's origin on Earth, recorded if it is known.
+    """
     stage = pxr.Usd.Stage.CreateInMemory()
     pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.y)
     pxr.UsdGeom.SetStageMetersPerUnit(stage, _METERS_PER_UNIT)
@@ -71,6 +84,8 @@ def new_stage(pxr: Any, origin: np.ndarray, up: np.ndarray | None) -> Any:
     stage.SetDefaultPrim(root.GetPrim())
     pxr.Usd.ModelAPI(root).SetKind(pxr.Kind.Tokens.component)
     extras = {ORIGIN: pxr.Gf.Vec3d(origin.tolist())} if origin.any() else {}
+    if georeference is not None:
+        extras[GEOREFERENCE] = georeference_fields(georeference)
     if up is not None:
         rotation, unit = y_from_up(up)
         extras[UP] = pxr.Gf.Vec3d(unit)

@@ -52,7 +52,8 @@ def write_usd_cameras(
     If all images are of one camera, it is the prim `/model/camera` with time samples at the frames of `frame_numbers`, which
     Nuke and Blender play as an animation. Otherwise there is a camera for each image below that prim. The attribute
     `epipole:imageName` has the names of the images. Origin, unit and rotation of the root prim are as in `write_usd`, so
-    cameras and a mesh that are written with the same origin and up direction match.
+    cameras and a mesh that are written with the same origin and up direction match. The position of a georeferenced model on
+    Earth is in the layer's `customLayerData`, as `georeference` (the content of georeference.json).
 
     Args:
         path: the file, with the suffix `.usdz`, `.usdc` or `.usda`.
@@ -80,7 +81,7 @@ def write_usd_cameras(
     pxr = usd_modules()
     centers, xyz = model.camera_centers_in_world()[registered], model.points.xyz_in_world
     origin = local_origin(np.concatenate([xyz, centers])) if origin_in_world is None else origin_in_world
-    stage = new_stage(pxr, origin, up)
+    stage = new_stage(pxr, origin, up, model.georeference)
     scale = _scale_of(xyz, centers)
     worlds_from_cams = model.cams_from_world()[registered].inverse()
     matrices = _matrices(Rigid3(worlds_from_cams.rotation, worlds_from_cams.translation - origin))

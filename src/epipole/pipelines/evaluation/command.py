@@ -105,6 +105,9 @@ def show_evaluation(result: Evaluation) -> None:
         f"mean {result.position_mean:.6g}, median {result.position_median:.6g}, max {result.position_max:.6g}, "
         f"rmse {result.position_rmse:.6g} (ground truth's unit)",
     )
+    table.add_row(
+        "with scale fixed", f"rmse {result.position_rmse_same_scale:.6g}, if both are in the same unit"
+    )
     table.add_row("scale", f"{result.scale:.6g} of the ground truth's units per unit of the model")
     table.add_row(
         "rotation error", f"mean {result.rotation_mean_deg:.4f}, max {result.rotation_max_deg:.4f} degrees"

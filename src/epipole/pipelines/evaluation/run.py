@@ -9,7 +9,7 @@ import numpy as np
 
 from epipole._checks import as_path, checked
 from epipole.errors import DegenerateGeometryError, FileFormatError
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, Similarity3
 from epipole.io.convert import is_model_file, read_model
 from epipole.io.truth import read_truth
 from epipole.metrics import camera_errors, relative_pose_auc
@@ -32,6 +32,8 @@ class Evaluation:
     position_max: float
     position_rmse: float
     """ATE: root mean square of the position errors."""
+    position_rmse_same_scale: float
+    """The same after the best rotation and translation only, for models in the ground truth's unit."""
     rotation_mean_deg: float
     rotation_max_deg: float
     scale: float
@@ -93,8 +95,18 @@ def evaluate(out: str | Path, truth: str | Path) -> Evaluation:
         errors.median_position,
         errors.max_position,
         float(np.sqrt(np.nanmean(errors.position**2))),
+        _rmse_same_scale(
+            estimated[found], known.cams_from_world[found], errors.alignment.truth_from_estimated
+        ),
         errors.mean_rotation_deg,
         errors.max_rotation_deg,
         float(errors.alignment.truth_from_estimated.scale),
         {degrees: float(value) for degrees, value in zip(THRESHOLDS_DEG, auc)},
     )
+
+
+def _rmse_same_scale(estimated: Rigid3, truth: Rigid3, truth_from_estimated: Similarity3) -> float:
+    """RMSE of the positions after the best rotation and translation; the rotation is that of the best similarity (Umeyama 1991)."""
+    rotated, true = estimated.centers() @ truth_from_estimated.rotation.T, truth.centers()
+    off = (rotated - rotated.mean(axis=0)) - (true - true.mean(axis=0))
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))

@@ -22,6 +22,7 @@ from epipole.io.names import path_inside
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.runs import Progress, ProgressCallback, ignore_progress
 from epipole.runs.model_source import SPLITS, ModelSource, model_source_of, transforms_source
+from epipole.scene import Georeference
 from epipole.scene.local_origin import local_origin
 
 
@@ -38,6 +39,8 @@ class FieldImages:
     """Reasons why images are left out, and other warnings."""
     origin_in_world: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """(3,) origin of the coordinates."""
+    georeference: Georeference | None = None
+    """Position of the world's origin on Earth, if it is known."""
 
     def about_origin(self) -> FieldImages:
         """Shift the origin near the cameras if they are far from the world's, as Gaussians are single precision."""
@@ -106,7 +109,10 @@ def gather_field_images(
             + ("; SLAM stores no images with its map" if results_of(source) == "slam" else "")
         )
     has_alpha = any(view.image.shape[2] == 4 for view in train)
-    return FieldImages(train, test, model.points.xyz_in_world, model.points.rgb, has_alpha, problems)
+    points = model.points
+    return FieldImages(
+        train, test, points.xyz_in_world, points.rgb, has_alpha, problems, georeference=model.georeference
+    )
 
 
 def _split(

@@ -78,7 +78,7 @@ class GaussianRecipe:
         """Write `splat.ply` and `cameras.json` in world coordinates."""
         cloud = replace(trainer.cloud, origin_in_world=images.origin_in_world)
         write_gaussian_ply(folder / SPLAT, cloud)
-        write_cameras(folder / CAMERAS, trainer.posed_views, images.origin_in_world)
+        write_cameras(folder / CAMERAS, trainer.posed_views, images.origin_in_world, images.georeference)
         return cloud
 
     def facts(self, trainer: Trainer, field: Any, images: FieldImages) -> dict[str, Any]:
@@ -109,7 +109,7 @@ class RayRecipe:
         """Write `hash.npz` or `grid.npz`, and `cameras.json`."""
         kind = KINDS[self.config.kind]
         kind.write(folder / kind.file, trainer.field)
-        write_cameras(folder / CAMERAS, images.train)
+        write_cameras(folder / CAMERAS, images.train, georeference=images.georeference)
         return trainer.field
 
     def facts(self, trainer: Trainer, field: Any, images: FieldImages) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from epipole.pipelines.fields.kinds import kind_in
 from epipole.report.gaussians import DEGREE_KEPT
 from epipole.report.markup import plural
 from epipole.report.space_scene import CameraLayer, FirstView, SpaceScene
-from epipole.scene import Points
+from epipole.scene import Georeference, Points
 from epipole.scene.gaussian_cloud import GaussianCloud
 
 SUMMARY, CAMERAS = "summary.json", "cameras.json"
@@ -179,7 +179,10 @@ def first_view_of(
 
 
 def write_cameras(
-    path: Path, views: Sequence[TrainingView], origin_in_world: np.ndarray | None = None
+    path: Path,
+    views: Sequence[TrainingView],
+    origin_in_world: np.ndarray | None = None,
+    georeference: Georeference | None = None,
 ) -> None:
     """Write the undistorted training cameras, at the training resolution, as a transforms.json.
 
@@ -187,6 +190,7 @@ def write_cameras(
         path: the file.
         views: cameras.
         origin_in_world: origin of their coordinates, recorded in the file if not zero.
+        georeference: position of the world's origin on Earth, recorded in the file if it is known.
 
     Raises:
         WorkspaceError: the file cannot be written.
@@ -202,6 +206,7 @@ def write_cameras(
     none = Points(np.empty((0, 3)), np.empty((0, 3), np.uint8), np.empty(0))
     names, rows = [view.name for view in views], list(range(len(views)))
     model = model_of_cameras(names, cameras, rows, cams_from_world, none)
+    model = replace(model, georeference=georeference)
     write_transforms(model, path, image_folder="", origin_in_world=origin)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from epipole.geometry import Rotation3
 from epipole.pipelines.localization.localized_image import LocalizedImage
 from epipole.pipelines.localization.query_cameras import QueryCamera
-from epipole.scene import Reconstruction
+from epipole.scene import Georeference, Reconstruction
 
 NEIGHBORS_SHOWN = 5
 """Neighbors of each image in `localized.json`."""
@@ -26,6 +26,13 @@ def poses_text(names: Sequence[str], images: Sequence[LocalizedImage]) -> str:
     return "".join(f"{line}\n" for line in lines)
 
 
+def _on_earth(image: LocalizedImage, georeference: Georeference | None) -> dict[str, Any]:
+    """Latitude and longitude in degrees and altitude in meters, in a georeferenced model."""
+    if georeference is None:
+        return {}
+    return {"lat_lon_alt": georeference.lat_lon_alt_of(image.position_in_world()[None])[0].tolist()}
+
+
 def image_summary(image: LocalizedImage, model: Reconstruction, *, camera: QueryCamera) -> dict[str, Any]:
     """Everything known about an image, for `localized.json`."""
     out: dict[str, Any] = {"is_localized": image.success, "reason": image.reason.value}
@@ -37,6 +44,7 @@ def image_summary(image: LocalizedImage, model: Reconstruction, *, camera: Query
                 "translation": pose.translation.tolist(),
             },
             "position_in_world": image.position_in_world().tolist(),
+            **_on_earth(image, model.georeference),
             "position_sigma": image.position_sigma(),
             "rotation_sigma_deg": math.degrees(image.rotation_sigma_rad()),
             "covariance": image.covariance.tolist(),
