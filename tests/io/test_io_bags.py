@@ -11,6 +11,7 @@ from epipole.errors import ConfigError, FileFormatError, MissingDependencyError
 from epipole.io.bags._pairing import grouped, paired
 from epipole.io.bags.recording import bag_frames, is_bag, read_bag, read_bag_imu, read_bag_topics
 from epipole.io.bags.rig_recording import bag_rig_frames, read_bag_rig
+from epipole.io.calibration.camera_topics import camera_topics
 
 SECOND, STEP = 10**9, 10**8
 BEGIN = 1_500_000_000 * SECOND
@@ -192,6 +193,15 @@ def test_depth_of_another_place_and_wrong_sizes_are_told(recorded, tmp_path):
     bag = read_bag(recorded.write(tmp_path))
     assert bag.camera is None and bag.depth_camera is not None
     assert any("64 x 48 pixels, but its images have 32 x 24" in warning for warning in bag.warnings)
+
+
+def test_unregistered_depth_without_its_camera_info_is_told(recorded, tmp_path):
+    recorded.image("/color/image_raw", BEGIN, gray(1), "mono8", frame_id="camera_color_optical_frame")
+    depth = np.full(SIZE[::-1], 1000, np.uint16)
+    recorded.image("/depth/image_rect_raw", BEGIN, depth, "16UC1", frame_id="camera_depth_optical_frame")
+    recorded.camera_info("/color/camera_info", BEGIN, SIZE, K, frame_id="camera_color_optical_frame")
+    (warning,) = read_bag(recorded.write(tmp_path)).warnings
+    assert "its frame is camera_depth_optical_frame" in warning
 
 
 def test_unregistered_depth_is_told(recorded, tmp_path):
@@ -395,9 +405,25 @@ def test_cameras_of_a_rig(recorded, tmp_path):
             np.testing.assert_array_equal(read(), gray(10 * n + k)[: SIZE[1] - 2 * k])
     two = read_bag_rig(path, 2, ("cam10/image_raw", "/cam2/image_raw"))
     assert two.topics == ("/cam10/image_raw", "/cam2/image_raw") and two.num_frames == 4
+    calibrated = read_bag_rig(path, 2, (), ("/cam10/image_raw", "cam1/image_raw"))
+    assert calibrated.topics == ("/cam10/image_raw", "/cam1/image_raw") and not calibrated.warnings
+    (warning,) = read_bag_rig(path, 3, (), ("/left", "/right", "/front")).warnings
+    assert "assigned by name: /cam1/image_raw is camera 0" in warning
     with pytest.raises(ConfigError, match="the calibration has 2 cameras"):
         read_bag_rig(path, 2)
     with pytest.raises(ConfigError, match="the calibration has 2 cameras"):
         read_bag_rig(path, 2, ("/cam1/image_raw", "/cam1/image_raw"))
     with pytest.raises(ConfigError, match="/odom has no images"):
         read_bag_rig(path, 2, ("/odom", "/cam1/image_raw"))
+
+
+@pytest.mark.parametrize(
+    ("topics", "found"), [(("/b", "/a"), ("/b", "/a")), (("/b", None), ()), ((1, "/a"), ())]
+)
+def test_topics_of_a_calibration(tmp_path, topics, found):
+    lines = []
+    for k, topic in enumerate(topics):
+        lines += [f"cam{k}:", "  camera_model: pinhole", "  intrinsics: [300, 300, 160, 120]"]
+        lines += [] if topic is None else [f"  rostopic: {topic}"]
+    (tmp_path / "camchain.yaml").write_text("\n".join(lines))
+    assert camera_topics(tmp_path / "camchain.yaml") == found

@@ -52,7 +52,7 @@ def test_every_message_is_read_back(tmp_path, rng):
     assert transform.transform.translation.y == POSE.translation[1]
     odometry = found["/odometry"][0][1]
     np.testing.assert_allclose(pose_of(odometry.pose.pose).as_matrix(), POSE.as_matrix(), atol=1e-12)
-    assert odometry.twist.covariance[0] == ros.UNKNOWN
+    np.testing.assert_array_equal(np.diag(odometry.twist.covariance.reshape(6, 6)), ros.UNKNOWN_VARIANCE)
     assert [p.header.stamp.nanosec for p in found["/path"][0][1].poses] == [250_000_000, 500_000_000]
     np.testing.assert_allclose(pose_of(found["/path"][0][1].poses[0].pose).as_matrix(), POSE.as_matrix())
     cloud = found["/points"][0][1]
@@ -85,7 +85,19 @@ def test_the_covariance_is_that_of_the_pose_in_the_world(rng):
     )
     for unknown in (None, np.full((6, 6), np.inf)):
         fields = ros.odometry_fields(0.0, POSE, unknown, "world", "body")
-        assert fields["pose"]["covariance"][0] == ros.UNKNOWN
+        variances = np.diag(fields["pose"]["covariance"].reshape(6, 6))
+        np.testing.assert_allclose(variances, ros.UNKNOWN_VARIANCE)
+
+
+def test_what_is_known_of_a_pose_is_kept(rng):
+    """The rotation of a camera that only rotates: its position is unknown."""
+    half = 1e-3 * rng.normal(size=(3, 3))
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3], covariance[3:, 3:] = np.inf, half @ half.T
+    given = ros.odometry_fields(0.0, POSE, covariance, "world", "body")["pose"]["covariance"].reshape(6, 6)
+    np.testing.assert_allclose(given[:3, :3], ros.UNKNOWN_VARIANCE * np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(given[3:, 3:], POSE.rotation @ (half @ half.T) @ POSE.rotation.T, atol=1e-15)
+    assert not given[:3, 3:].any() and np.linalg.eigvalsh(given).min() > 0
 
 
 def test_a_level_camera_looks_along_x_of_the_map():

@@ -9,14 +9,21 @@ import numpy as np
 import pytest
 from slam_rides import rendered
 
+from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.inertial import ImuLog, ImuNoise, MountedImu
+from epipole.inertial import ImuLog, ImuNoise, MountedImu, align_path_to_imu
 from epipole.pipelines.slam import run
-from epipole.pipelines.slam.frames import TrackingState
+from epipole.pipelines.slam.frames import SlamCamera, TrackingState, rectification_of
+from epipole.pipelines.slam.map.imu import InertialConstraints
+from epipole.pipelines.slam.map.imu_clock import CameraImu
+from epipole.pipelines.slam.map.imu_readings import LARGEST_MISFIT, better_reading
 from epipole.pipelines.slam.map.slam_map import SlamMap
+from epipole.pipelines.slam.output.ros_record import open_recording
 from epipole.pipelines.slam.slam import Slam
+from epipole.scene import StereoRig
 from epipole.synthetic.inertial import imu_along
+from ros_messages import messages_of
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
 
@@ -160,6 +167,45 @@ def test_gravity_is_that_of_the_ride(ride, with_imu):
     assert np.degrees(np.arccos(min(float(cosine), 1.0))) < 0.3
 
 
+def test_the_map_of_a_recording_is_level_once_gravity_is_known(ride, imu, tmp_path):
+    sensor = ride.sensor("rgbd")
+    system = Slam(sensor, imu=imu)
+    with open_recording(tmp_path / "run.mcap", sensor, Rigid3.identity()) as recording:
+        for frame in frames_of(ride)[: DARK[0]]:
+            recording.add(system, frame, system.track(frame))
+        num_live = len(recording._leveled)
+        recording.finish(system)
+    static = [tf.transforms[-1] for _, tf in messages_of(tmp_path / "run.mcap")["/tf_static"]]
+    assert num_live == 1 and [t.header.frame_id for t in static] == ["map"] * 3
+    down = gravity_in_camera(ride) / 9.81
+    for transform, largest_deg in zip(static, (180.0, 0.5, 0.3)):
+        r = transform.transform.rotation
+        axes = Rotation3.from_quat_wxyz(np.array([r.w, r.x, r.y, r.z])).matrix
+        assert np.degrees(np.arccos(min(float(-(axes @ down)[2]), 1.0))) < largest_deg
+    np.testing.assert_allclose((axes @ [0.0, 0.0, 1.0])[1], 0.0, atol=1e-9)  # the first camera looks along x
+
+
+def test_a_mounting_on_a_pair_that_is_rectified_refers_to_the_left_camera(imu):
+    inward = Rotation3.exp(np.array([0.0, np.radians(10.0), 0.0])).matrix
+    camera = Camera("PINHOLE", 320, 240, np.array([260.0, 260.0, 159.5, 119.5]))
+    pair = StereoRig(camera, camera, Rigid3(inward, np.array([-0.12, 0.0, 0.0])))
+    sensor = SlamCamera.of_rig(pair)
+    found = Slam(sensor, imu=imu).imu.camera_from_imu
+    left_from_tracked = rectification_of(pair).rectified_from_left.T
+    np.testing.assert_allclose(left_from_tracked @ found.rotation, MOUNTING.rotation, atol=1e-12)
+    np.testing.assert_allclose(left_from_tracked @ found.translation, MOUNTING.translation, atol=1e-12)
+    assert np.degrees(Rotation3(left_from_tracked).angle_rad()) > 4.0
+
+
+def test_the_unit_of_the_map(ride, imu, before_dark):
+    system, _ = before_dark
+    assert system.meters_per_unit == (1.0, 0.0)
+    mono = Slam(ride.sensor("mono"), imu=imu)
+    assert mono.meters_per_unit is None
+    mono.odometry.mapper.inertial.aligned = replace(system.odometry.mapper.inertial.aligned, scale=1.98)
+    assert mono.meters_per_unit[0] == 1.98 and mono.meters_per_unit[1] > 0
+
+
 def test_a_clock_that_is_late_is_found_and_corrected(ride, imu):
     system, _ = tracked(ride, later(imu, LATE_S), DARK[0])
     (note,) = system._camera_imu.notes()
@@ -183,6 +229,45 @@ def test_a_wrong_mounting_is_reported(ride, imu):
     system, _ = tracked(ride, replace(imu, camera_from_imu=Rigid3(off, MOUNTING.translation)), DARK[0])
     (note,) = system._camera_imu.notes()
     assert "mounting differs by 5." in note or "mounting differs by 6." in note
+
+
+@pytest.mark.parametrize(
+    ("gyro_factor", "accel_factor", "words"),
+    [(1.0, -1.0, "opposite sign"), (np.degrees(1.0), 1.0, "degrees per second")],
+)
+def test_another_reading_that_fits_better_is_named_and_the_imu_not_used(
+    ride, imu, before_dark, gyro_factor, accel_factor, words
+):
+    """The accelerations of a phone that measures gravity, and angular velocities in degrees."""
+    keyframes = before_dark[0].map.keyframes
+    log = ImuLog(imu.log.timestamp_s, gyro_factor * imu.log.gyro_rad_s, accel_factor * imu.log.accel_m_s2)
+    found = InertialConstraints(CameraImu(replace(imu, log=log)), is_metric=True)
+    found.learn(keyframes, is_last=True)
+    assert found.aligned is None and words in found.camera_imu.other_reading
+    right = InertialConstraints(CameraImu(imu), is_metric=True)
+    right.learn(keyframes, is_last=True)
+    assert right.aligned is not None and not right.camera_imu.other_reading
+
+
+def test_a_gentle_ride_does_not_hide_the_sign_of_the_accelerations():
+    """Swings of 5 cm at 0.4 m/s, for which the log with the opposite sign fits within the limit."""
+
+    def poses(times):
+        swing = 0.05 * np.stack([np.sin(0.8 * times), np.sin(1.1 * times), 0.3 * np.cos(0.9 * times)], axis=1)
+        turn = np.stack([0.1 * np.sin(0.7 * times), 0.3 * np.sin(0.4 * times), 0.05 * np.cos(times)], axis=1)
+        return Rigid3(Rotation3.exp(turn).matrix, swing + 0.4 * times[:, None] * [1.0, 0.0, 0.0])
+
+    times, mounting = np.arange(0.0, 15.0, 0.25)[2:-2], Rigid3.identity()
+    log = imu_along(
+        np.arange(0.0, 15.0, 0.05), poses(np.arange(0.0, 15.0, 0.05)), mounting, 0, NOISE, (0, 9.81, 0)
+    )
+    wrong = MountedImu(ImuLog(log.timestamp_s, log.gyro_rad_s, -log.accel_m_s2), mounting, NOISE)
+    misfit = align_path_to_imu(times, poses(times), wrong, is_metric=True).misfit
+    assert misfit < LARGEST_MISFIT  # so the limit alone would accept it
+    assert "opposite sign" in better_reading(times, poses(times), wrong, misfit, is_metric=True)
+    right = MountedImu(log, mounting, NOISE)
+    misfit = align_path_to_imu(times, poses(times), right, is_metric=True).misfit
+    assert not better_reading(times, poses(times), right, misfit, is_metric=True)
 
 
 def test_the_map_goes_on_in_a_thread_too(ride, imu):

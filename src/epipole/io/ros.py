@@ -20,8 +20,8 @@ from epipole.io.calibration.coefficients import coefficients_of_camera
 
 REP103_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from optical axes to those of REP 103 (x forward, y left, z up)."""
-UNKNOWN = -1.0
-"""First entry of a covariance that is not known, as in `sensor_msgs`."""
+UNKNOWN_VARIANCE = 1e6
+"""Variance in m^2 or rad^2 of what is not known. Odometry has no mark for it, and filters that read it take any number at its word."""
 _FLOAT32 = 7
 """sensor_msgs/msg/PointField.FLOAT32"""
 _DISTORTION = {
@@ -64,7 +64,7 @@ def odometry_fields(
     world: str,
     body: str,
 ) -> dict[str, Any]:
-    """nav_msgs/msg/Odometry: a pose with its covariance; the velocity is marked as unknown.
+    """nav_msgs/msg/Odometry: a pose with its covariance; the velocity is not known.
 
     ROS describes an error of the pose by the shift of the position and by a small rotation about the fixed axes of the world. To first
     order these are -R xi_t and -R xi_r for body_from_world = exp(xi) @ estimate, with R the rotation of world_from_body.
@@ -72,26 +72,36 @@ def odometry_fields(
     Args:
         stamp_s: time.
         world_from_body: the pose.
-        covariance: of xi = (translation, rotation), as in `TrackedFrame`; None or not finite if unknown.
+        covariance: of xi = (translation, rotation), as in `TrackedFrame`; None or not finite if unknown: then the variances of
+            position or rotation are `UNKNOWN_VARIANCE`.
         world: name of the world's frame.
         body: name of the body's frame.
 
     Raises:
         ConfigError: the time does not fit into a message.
     """
-    known = np.full((6, 6), 0.0)
-    known[0, 0] = UNKNOWN
-    if covariance is not None and np.isfinite(covariance).all():
-        rotation = np.kron(np.eye(2), world_from_body.rotation)
-        known = rotation @ covariance @ rotation.T
-    zero, unknown = {"x": 0.0, "y": 0.0, "z": 0.0}, np.zeros(36)
-    unknown[0] = UNKNOWN
+    unknown = UNKNOWN_VARIANCE * np.eye(6)
+    known = unknown if covariance is None else _in_fixed_axes(covariance, world_from_body.rotation)
+    zero = {"x": 0.0, "y": 0.0, "z": 0.0}
     return {
         "header": header_fields(stamp_s, world),
         "child_frame_id": body,
         "pose": {"pose": _pose(world_from_body), "covariance": known.ravel()},
-        "twist": {"twist": {"linear": zero, "angular": zero}, "covariance": unknown},
+        "twist": {"twist": {"linear": zero, "angular": zero}, "covariance": unknown.ravel()},
     }
+
+
+def _in_fixed_axes(covariance: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Covariance of position and rotation about the axes of the world; of the two, one that is not finite is unknown."""
+    out, parts = np.array(covariance, np.float64), (slice(0, 3), slice(3, 6))
+    for part in parts:
+        if not np.isfinite(out[part, part]).all():
+            out[part], out[:, part] = 0.0, 0.0
+            out[part, part] = UNKNOWN_VARIANCE * np.eye(3)
+    if not np.isfinite(out).all():
+        return UNKNOWN_VARIANCE * np.eye(6)
+    both = np.kron(np.eye(2), rotation)
+    return both @ out @ both.T
 
 
 @checked

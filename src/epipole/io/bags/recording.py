@@ -145,7 +145,7 @@ def read_bag(path: str | Path, sensor: str = "auto", topics: Sequence[str] = ())
         )
     if found == "mono":
         return BagSequence(path, found, names, count, size, camera, warnings=tuple(warnings), scales=scales)
-    warnings += _unregistered(names[1], infos[0], infos[1])
+    warnings += _unregistered(names[1], firsts, infos)
     depth_camera = None if infos[1] is None else infos[1].camera
     per_m = images.values_per_meter(images.encoding_of(firsts[1]))
     return BagSequence(
@@ -240,14 +240,16 @@ def _info(path: Path, message: Any, is_flat: bool) -> _Info:
     return _Info(camera, str(message.header.frame_id), rotation, projection)
 
 
-def _unregistered(depth_topic: str, color: _Info | None, depth: _Info | None) -> list[str]:
-    if any(word in depth_topic for word in ("aligned", "registered")):
-        return []
-    if color is None or depth is None or color.frame_id == depth.frame_id:
+def _unregistered(depth_topic: str, firsts: Sequence[Any], infos: Sequence[_Info | None]) -> list[str]:
+    """A warning if color and depth are in different frames by their CameraInfo or, without both, by the first images."""
+    color_frame, depth_frame = (str(first.header.frame_id) for first in firsts)
+    if infos[0] is not None and infos[1] is not None:
+        color_frame, depth_frame = infos[0].frame_id, infos[1].frame_id
+    if any(word in depth_topic for word in ("aligned", "registered")) or color_frame == depth_frame:
         return []
     return [
-        f"the depth of {depth_topic} is not registered to the images (its frame is {depth.frame_id}); both are assumed to "
-        "have the same pose"
+        f"the depth of {depth_topic} is not registered to the images (its frame is {depth_frame}, theirs {color_frame}); both are"
+        " assumed to have the same pose"
     ]
 
 

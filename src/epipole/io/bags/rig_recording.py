@@ -17,7 +17,7 @@ from epipole.io.bags import _images as images
 from epipole.io.bags._files import opened_bag
 from epipole.io.bags._messages import first_message, gray_scale_of, size_of, stamped, topics_of
 from epipole.io.bags._pairing import grouped
-from epipole.io.bags._topics import BagTopic, image_topics, listed_topics
+from epipole.io.bags._topics import BagTopic, base_name, image_topics, listed_topics
 from epipole.io.bags.recording import PAIR_TOLERANCE_S
 from epipole.io.images.deep_pixels import GrayScale
 
@@ -48,13 +48,17 @@ class BagRigFrame:
 
 
 @checked
-def read_bag_rig(path: str | Path, num_cameras: int, topics: Sequence[str] = ()) -> BagRig:
+def read_bag_rig(
+    path: str | Path, num_cameras: int, topics: Sequence[str] = (), calibrated: Sequence[str] = ()
+) -> BagRig:
     """Find the image topics of a rig.
 
     Args:
         path: the recording.
         num_cameras: number of cameras.
-        topics: one image topic per camera, in the order of the cameras. Empty: all image topics, by name, if there are as many.
+        topics: one image topic per camera, in the order of the cameras. Empty: those of `calibrated`, else all image topics, by
+            name, if there are as many.
+        calibrated: the topics with which the cameras were calibrated; if the recording does not have them, there is a warning.
 
     Raises:
         FileFormatError: the recording is unreadable.
@@ -64,11 +68,29 @@ def read_bag_rig(path: str | Path, num_cameras: int, topics: Sequence[str] = ())
     path = Path(path)
     with opened_bag(path) as bag:
         known = topics_of(bag)
-        names = _chosen(path, known, num_cameras, topics)
+        stated = () if topics else _present(known, calibrated)
+        names = _chosen(path, known, num_cameras, topics or stated)
+        notes = [] if topics or stated or not calibrated else [_guessed(names, calibrated)]
         sizes = tuple(size_of(path, name, first_message(bag, name)) for name in names)
         scales = tuple(gray_scale_of(bag, name) for name in names)
         count = min(topic.num_messages for topic in known if topic.name in names)
-        return BagRig(path, names, count, sizes, scales, tuple(bag.warnings))
+        return BagRig(path, names, count, sizes, scales, (*bag.warnings, *notes))
+
+
+def _present(known: Sequence[BagTopic], names: Sequence[str]) -> tuple[str, ...]:
+    """The topics of these names, which may be recorded as compressed images; empty unless the recording has all of them."""
+    by_name = {base_name(topic.name): topic.name for topic in known if topic.kind == "image"}
+    by_name |= {topic.name: topic.name for topic in known if topic.kind == "image"}
+    found = [by_name.get(f"/{name.lstrip('/')}") for name in names]
+    return tuple(name for name in found if name) if all(found) else ()
+
+
+def _guessed(names: Sequence[str], calibrated: Sequence[str]) -> str:
+    pairs = ", ".join(f"{name} is camera {k}" for k, name in enumerate(names))
+    return (
+        f"the recording does not have the topics of the calibration ({', '.join(calibrated)}), so they were assigned by name: "
+        f"{pairs}. Check it, or pass --topics"
+    )
 
 
 def _chosen(

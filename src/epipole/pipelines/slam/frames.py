@@ -17,6 +17,7 @@ from epipole.disparity_search.rectification import Rectification, rectify
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3
 from epipole.image.gray import gray_image
+from epipole.inertial import MountedImu
 from epipole.pipelines.slam.shutter.shutter import Shutter
 from epipole.pipelines.slam.tracking.projection import blind_pixels
 from epipole.scene import CameraRig, StereoRig
@@ -65,6 +66,8 @@ class SlamCamera:
     """Rolling shutter: seconds from the first row to the one after the last; 0: global shutter."""
     rig: CameraRig | None = None
     """All cameras of a rig, whose poses are those of the rig: `SlamCamera.of_cameras`."""
+    left_from_camera: Rigid3 | None = None
+    """Of a pair that is rectified: rotation from the rectified camera to the left one that takes the images; else None."""
 
     def __post_init__(self) -> None:
         """Check the values.
@@ -103,7 +106,10 @@ class SlamCamera:
             return SlamCamera(rig.left, rig.baseline)
         flat = found.rig
         params = np.array([flat.focal_px, flat.focal_px, flat.cx, flat.cy])
-        return SlamCamera(Camera(CameraModel.PINHOLE, *found.size, params), rig.baseline)
+        rotated = Rigid3(found.rectified_from_left.T.copy(), np.zeros(3))
+        return SlamCamera(
+            Camera(CameraModel.PINHOLE, *found.size, params), rig.baseline, left_from_camera=rotated
+        )
 
     @property
     def shutter(self) -> Shutter:
@@ -114,6 +120,12 @@ class SlamCamera:
     def is_metric(self) -> bool:
         """Whether lengths are those of the baseline, the depth sensor or the rig."""
         return self.measures_disparity or self.rig is not None
+
+    def with_imu(self, imu: MountedImu) -> MountedImu:
+        """An IMU, mounted relative to the camera that takes the images, relative to the tracked camera."""
+        if self.left_from_camera is None:
+            return imu
+        return replace(imu, camera_from_imu=self.left_from_camera.inverse() @ imu.camera_from_imu)
 
     @property
     def camera_or_rig(self) -> Camera | CameraRig:

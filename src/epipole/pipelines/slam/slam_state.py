@@ -71,7 +71,8 @@ class SlamState:
                 the first. Loop closures join the others to it.
             is_map_fixed: only localize in the known map, without changing it.
             imu: measurements in the frames' clock, which join the optimization, predict rotations, and carry the pose for a few
-                seconds without usable images; ignored with a known map, whose clock differs.
+                seconds without usable images; ignored with a known map, whose clock differs. Its mounting refers to the camera that
+                takes the images: of a pair that is rectified here to the left one, of a rig to the first one.
             mapping: "inline" maps a keyframe before `track` returns, and results do not depend on the machine. "thread" maps in a
                 thread, for a live camera or a robot: only frames of a lost camera wait for it. Then results depend on the machine's
                 speed, and the object cannot be copied.
@@ -88,7 +89,7 @@ class SlamState:
         self._given_config = SlamConfig() if config is None else config
         self.config = self._given_config.odometry
         self.camera = camera
-        self._camera_imu = None if imu is None or maps else CameraImu(imu)
+        self._camera_imu = None if imu is None or maps else CameraImu(camera.with_imu(imu))
         self.focal_baseline = focal_baseline_of(camera, self.config)
         self.state = TrackingState.LOST if maps else TrackingState.STARTING
         self.is_map_fixed = is_map_fixed
@@ -148,6 +149,19 @@ class SlamState:
     def imu(self) -> MountedImu | None:
         """The IMU with its measurements so far; None without one."""
         return None if self._camera_imu is None else self._camera_imu.imu
+
+    @property
+    def meters_per_unit(self) -> tuple[float, float] | None:
+        """Meters per unit of the tracked map, and the standard deviation.
+
+        (1, 0) if the camera measures lengths. With one camera, None until an IMU and the trajectory have shown it: poses, map and
+        their covariances stay in the map's unit, and are to be multiplied.
+        """
+        if self.camera.is_metric:
+            return 1.0, 0.0
+        inertial = self.odometry.mapper.inertial
+        aligned = None if inertial is None else inertial.aligned
+        return None if aligned is None else (aligned.scale, aligned.sigma)
 
     @property
     def gravity_in_world(self) -> np.ndarray | None:

@@ -21,6 +21,7 @@ from epipole.inertial import (
 from epipole.inertial.preintegration import LARGEST_GAP_S
 from epipole.optim import BundleConfig, BundleProblem, BundleResult, bundle_variance
 from epipole.pipelines.slam.map.imu_clock import CameraImu, path_of
+from epipole.pipelines.slam.map.imu_readings import LARGEST_MISFIT, better_reading
 from epipole.pipelines.slam.map.slam_map import Keyframe
 from epipole.scale import ScaleEstimate
 
@@ -36,8 +37,6 @@ MOST_ALIGNED = 60
 """Most consecutive keyframes of an alignment."""
 MOST_CONSTRAINED = 80
 """Most keyframes in one factor, whose cost grows with their cube."""
-LARGEST_MISFIT = 5.0
-"""Ratio to the specified noise: 1.3 to 3.5 on the EuRoC flights, 30 with the log of a different trajectory."""
 LEAST_NOISE_PX = 0.05
 
 
@@ -69,15 +68,20 @@ class InertialConstraints:
         if self.aligned is not None or not self.camera_imu.is_clock_known(is_last=is_last):
             return
         rows = [own[-MOST_ALIGNED:] for own in self._in_a_row(keyframes, LONGEST_S)]
-        for own in reversed(rows):
-            times, positions = self._path([keyframes[k] for k in own])
+        for number, own in enumerate(reversed(rows)):
+            path = self._path([keyframes[k] for k in own])
             try:
-                aligned = align_path_to_imu(times, positions, self.imu, is_metric=self.is_metric)
-                if aligned.misfit <= LARGEST_MISFIT:
+                aligned = align_path_to_imu(*path, self.imu, is_metric=self.is_metric)
+                misfit = aligned.misfit
+            except DegenerateGeometryError:
+                misfit = np.inf
+            fits = misfit <= LARGEST_MISFIT
+            if fits or (is_last and not number):
+                other = better_reading(*path, self.imu, misfit, is_metric=self.is_metric)
+                self.camera_imu.other_reading = other
+                if fits and not other:
                     self.aligned, self.camera_imu.is_used = aligned, True
                     return
-            except DegenerateGeometryError:
-                continue
 
     def calibration(self, keyframes: Sequence[Keyframe], timestamp_s: float) -> ImuCalibration | None:
         """Scale, gravity and biases at a time, from the newest consecutive keyframes; None before the first alignment.

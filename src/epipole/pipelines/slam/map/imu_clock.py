@@ -28,6 +28,7 @@ class CameraImu:
         imu: measurements so far, mounting and noise.
         clock: clock offset and rotation of the mounting as the images alone show them; None if they do not.
         offset_s: what to add to a time by the camera's clock; zero unless the offset is significant.
+        other_reading: how the measurements are to be read to fit the trajectory, in words; empty if they fit as they are, or not at all.
         is_used: whether poses depend on the IMU, which then cannot show its clock any more: they agree with any offset.
     """
 
@@ -35,6 +36,7 @@ class CameraImu:
         self.imu, self._buffer = imu, ImuBuffer(imu.log)
         self.clock: ImuClock | None = None
         self.offset_s = 0.0
+        self.other_reading = ""
         self.is_used = False
         self._seen: list[tuple[float, Rigid3]] = []
 

@@ -2,7 +2,7 @@
 
 | topic | type | content |
 |---|---|---|
-| `/tf_static` | tf2_msgs/TFMessage | `map` (x forward, z up) to `world` (the trajectory's), and `body` to `camera` |
+| `/tf_static` | tf2_msgs/TFMessage | `map` (x forward, z up) to `world` (that of the poses), and `body` to `camera` |
 | `/tf` | tf2_msgs/TFMessage | `world` to `body`, of each frame with a pose |
 | `/odometry` | nav_msgs/Odometry | the same pose with its covariance |
 | `/path`, `/points` | nav_msgs/Path, sensor_msgs/PointCloud2 | keyframes and map when the run has grown by a tenth; final trajectory |
@@ -30,6 +30,7 @@ from epipole.geometry import Rigid3
 from epipole.io import ros
 from epipole.io.bags.writing import require_writing, written_bag
 from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackedFrame
+from epipole.pipelines.slam.output.scale import upright_axes
 from epipole.pipelines.slam.slam import Slam
 from epipole.scene import Trajectory
 
@@ -74,6 +75,8 @@ class McapRecording(Recording):
         self._worlds: set[str] = set()
         self._connected: set[str] = set()
         """Worlds with a transform from `map`."""
+        self._leveled: set[str] = set()
+        """Worlds whose transform from `map` is that of gravity; in the others the first camera is assumed to be level."""
         self._num_poses = self._num_recorded = 0
         self._stamp_s = 0.0
         self._thread: Thread | None = None
@@ -92,6 +95,11 @@ class McapRecording(Recording):
             is_first = answer.world_from_body is not None
             self._connected |= {world} if is_first else set()
             self._put(partial(self._static, answer.timestamp_s, world if is_first else None))
+        gravity = system.gravity_in_world if system.map is system.maps[0] else None
+        if gravity is not None and world in self._connected - self._leveled:
+            self._leveled.add(world)
+            axes = upright_axes(system.map, gravity)
+            self._put(partial(self._static, answer.timestamp_s, world, axes))
         self._put(partial(_of_pose, answer, self._body_from_camera, world))
         self._num_poses += 1
         if answer.is_keyframe and self._num_poses >= GROWTH * self._num_recorded:
@@ -102,8 +110,13 @@ class McapRecording(Recording):
         """Record the final trajectory and map, and complete the file."""
         if self._thread is None:
             return
-        world = _world(system.maps[0].number)
-        if self._worlds and world not in self._connected:  # another map became the largest
+        world, mapper = _world(system.maps[0].number), system.local_mapper(system.maps[0])
+        mapper.learn_inertial(is_last=True)
+        aligned = None if mapper.inertial is None else mapper.inertial.aligned
+        if aligned is not None and self._worlds:
+            axes = upright_axes(system.maps[0], aligned.gravity_in_world)
+            self._put(partial(self._static, self._stamp_s, world, axes))
+        elif self._worlds and world not in self._connected:  # another map became the largest
             self._put(partial(self._static, self._stamp_s, world))
         self._add_map(system, system.trajectory())
         self.stop()
@@ -134,14 +147,22 @@ class McapRecording(Recording):
 
         self._put(messages)
 
-    def _static(self, stamp_s: float, world: str | None) -> list[Message]:
-        """The transforms that do not change; tools keep the last message of a pair of frames."""
+    def _static(
+        self, stamp_s: float, world: str | None, axes: np.ndarray = ros.REP103_FROM_OPTICAL
+    ) -> list[Message]:
+        """The transforms that hardly change; tools keep the last message of a pair of frames.
+
+        Args:
+            stamp_s: time.
+            world: name of the world that is connected to `map`; None for none.
+            axes: (3, 3) rotation from that world into one with x forward and z up.
+        """
         transforms = [
             ros.transform_fields(stamp_s, self._body_from_camera @ pose, BODY, name)
             for name, _, pose in _cameras_of(self._camera)
         ]
         if world is not None:
-            map_from_world = Rigid3(ros.REP103_FROM_OPTICAL, np.zeros(3))
+            map_from_world = Rigid3(axes, np.zeros(3))
             transforms.append(ros.transform_fields(stamp_s, map_from_world, MAP, world))
         return [Message("/tf_static", "tf2_msgs/msg/TFMessage", stamp_s, {"transforms": transforms})]
 

@@ -11,6 +11,7 @@ from epipole.config import AnchorOptions
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.pipelines.slam.map.imu import scale_by_factors
+from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.output.map_file import KnownMap
 from epipole.pipelines.slam.slam import Slam
@@ -102,20 +103,20 @@ def level_map(system: Slam, anchoring: Anchoring | None) -> tuple[Similarity3 | 
         return None, []
     aligned, notes = mapper.inertial.aligned, mapper.inertial.camera_imu.notes()
     if aligned is None:
+        why = mapper.inertial.camera_imu.other_reading
         words = "the IMU does not agree with the trajectory, or there are too few keyframes: it was not used"
-        return None, [words, *notes]
+        return None, [f"the IMU was not used: {why}" if why else words, *notes]
     if anchoring is not None and anchoring.positions is not None:
         return None, notes
-    first = next(k for k in system.maps[0].keyframes if len(k.point))
-    leveled = Similarity3(
-        np.array(1.0), _upright_axes(first.cam_from_world, aligned.gravity_in_world), np.zeros(3)
-    )
+    axes = upright_axes(system.maps[0], aligned.gravity_in_world)
+    leveled = Similarity3(np.array(1.0), axes, np.zeros(3))
     system.maps[0].move(leveled)
     return leveled, notes
 
 
-def _upright_axes(cam_from_world: Rigid3, gravity: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation into a world with z up, in which the camera looks along x, or if it looks up or down, its upper edge does."""
+def upright_axes(model: SlamMap, gravity: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation of a map into a world with z up, in which the first camera looks along x, or if it looks up or down, its upper edge does."""
+    cam_from_world = next(k.cam_from_world for k in model.keyframes if len(k.point))
     up = -gravity / np.linalg.norm(gravity)
     view, above = cam_from_world.rotation[2], -cam_from_world.rotation[1]
     ahead = max((view, above), key=lambda axis: float(np.linalg.norm(np.cross(axis, up))))

@@ -87,10 +87,10 @@ def of_pair(rig: StereoRig) -> Preparation:
     camera, found = SlamCamera.of_rig(rig), rectification_of(rig)
     if found is None:
         return Preparation(camera, Rigid3.identity(), Frame)
-    rotated = Rigid3(found.rectified_from_left.T.copy(), np.zeros(3))
+    assert camera.left_from_camera is not None
     return Preparation(
         camera,
-        rotated,
+        camera.left_from_camera,
         lambda seconds, left, right: Frame.from_pair(seconds, left, right, rig),
         flat=lambda image: found.apply(image, image)[0],
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from epipole.geometry import Rigid3
 from epipole.io.bags.rig_recording import BagRigFrame, bag_rig_frames, read_bag_rig
+from epipole.io.calibration.camera_topics import camera_topics
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
@@ -26,7 +27,8 @@ def open_rig_bag(path: Path, job: JobOptions, given: CameraOptions) -> FrameSour
         MissingDependencyError: the package rosbags is not installed.
     """
     rig = rig_of(given)
-    bag = read_bag_rig(path, len(rig.cameras), job.topic_names)
+    assert given.calibration is not None
+    bag = read_bag_rig(path, len(rig.cameras), job.topic_names, camera_topics(given.calibration))
     for topic, size, camera in zip(bag.topics, bag.sizes, rig.cameras):
         check_size(topic, size, camera)
     counted = Counted(bag.num_frames, "{} of {} frames of the bag have a matching time stamp in all topics")
@@ -47,7 +49,7 @@ def open_rig_bag(path: Path, job: JobOptions, given: CameraOptions) -> FrameSour
         Rigid3.identity(),
         lambda: [*bag.warnings, *counted.notes()],
         rig_names=names,
-        about={"layout": "ROS", "sensor": "rig", "camera_source": "given"},
+        about={"layout": "ROS", "sensor": "rig", "camera_source": "given", "topics": list(bag.topics)},
     )
 
 
