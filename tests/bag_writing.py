@@ -69,11 +69,11 @@ class Recorded:
         )
         self.rows.append((topic, "sensor_msgs/msg/CameraInfo", ns, message))
 
-    def imu(self, topic, ns, rotation, gradient):
+    def imu(self, topic, ns, rotation, gradient, stamp_ns=None):
         types = self.store.types
         vector, none = types["geometry_msgs/msg/Vector3"], np.zeros(9)
         message = types["sensor_msgs/msg/Imu"](
-            header=self.header(ns),
+            header=self.header(ns if stamp_ns is None else stamp_ns),
             orientation=types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
             orientation_covariance=none,
             angular_velocity=vector(*map(float, rotation)),

@@ -260,6 +260,17 @@ def test_what_an_imu_measured(recorded, tmp_path):
     assert len(read_bag_imu(again, "/second")) == 1
 
 
+def test_samples_of_an_imu_out_of_order_are_sorted_and_told(recorded, tmp_path):
+    stamps = [0, 1, 2, 5, 4, 3, 6, 6, *range(7, 20)]
+    for n, k in enumerate(stamps):
+        stamp = BEGIN + k * STEP // 20
+        recorded.imu("/imu", BEGIN + n * STEP, np.array([0.01 * k, 0, 0]), np.array([0, 0, 9.81]), stamp)
+    found = read_bag_imu(recorded.write(tmp_path))
+    assert np.allclose(found.gyro_rad_s[:, 0], 0.01 * np.arange(20))
+    earlier, repeated = found.notes
+    assert "2 samples are earlier" in earlier and "1 samples repeat a time" in repeated
+
+
 def test_an_empty_recording(recorded, tmp_path):
     with pytest.raises(FileFormatError, match=r"ride.*no messages"):
         read_bag(recorded.write(tmp_path))

@@ -15,17 +15,19 @@ import pytest
 from slam_rides import BASELINE, CAMERA, MONO, ride
 
 from bag_writing import Recorded
+from epipole.cameras import Camera
 from epipole.cli.main import main
 from epipole.errors import ConfigError, FileFormatError
-from epipole.geometry import Rigid3
+from epipole.geometry import Rigid3, Rotation3
 from epipole.io import read_trajectory
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam.config import CameraOptions, JobOptions
 from epipole.pipelines.slam.frames import Frame
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.sources import live_cameras
-from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
+from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame, of_pair
 from epipole.pipelines.slam.sources.frame_stream import Clock, FrameStream
+from epipole.scene import StereoRig
 from whole import IS_WHOLE
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
@@ -123,6 +125,16 @@ def test_a_video_without_frames(tmp_path):
     path.write_bytes(data[: data.index(b"movi")])
     with pytest.raises(FileFormatError, match=r"head\.avi"):
         run_slam(path, tmp_path / "out", **KNOWN)
+
+
+def test_a_baseline_in_millimeters_is_questioned():
+    camera = Camera("PINHOLE", 320, 240, np.array([260.0, 260.0, 159.5, 119.5]))
+    shift = np.array([-120.0, 0.0, 0.0])
+    turned = Rotation3.exp(np.array([0.0, 0.02, 0.0])).matrix
+    for rotation in (np.eye(3), turned):
+        (note,) = of_pair(StereoRig(camera, camera, Rigid3(rotation, shift))).notes()
+        assert "120 m: if the calibration is in another unit" in note
+        assert not of_pair(StereoRig(camera, camera, Rigid3(rotation, 1e-3 * shift))).notes()
 
 
 class FakeCapture:

@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from benchmarks.tasks.surfaces import prepare_scene
@@ -30,6 +31,8 @@ from epipole.io.meshes.mesh_ply import read_mesh_ply
 from epipole.io.meshes.ply import read_points_ply
 from epipole.io.models.transforms import write_transforms
 from epipole.pipelines.surfaces import depth_stage
+from epipole.pipelines.surfaces.scene import scene as viewer_scene
+from epipole.runs import overwriting
 
 VIEWS = 8
 
@@ -117,8 +120,16 @@ def test_it_ends_at_the_requested_stage(scene, tmp_path):
     found = surface(scene.folder, tmp_path / "out", SurfaceConfig(until="cloud", max_size_px=192))
     assert (found.out / "cloud.ply").is_file() and not (found.out / "mesh.ply").exists()
     assert found.mesh is None and (found.out / "report.html").is_file()
-    surface(scene.folder, found.out, until="depth", max_size_px=192)
-    assert not (found.out / "cloud.ply").exists()  # of other depths
+    with pytest.raises(WorkspaceError, match=r"results of later stages \(cloud\)"):
+        surface(scene.folder, found.out, until="depth", max_size_px=192)
+    assert (found.out / "cloud.ply").is_file()
+    with overwriting():
+        surface(scene.folder, found.out, until="depth", max_size_px=192)
+    assert not (found.out / "cloud.ply").exists()  # it may be of other depths
+    with pytest.raises(ConfigError, match="is the output of `epipole surface`"):
+        surface(found.out, tmp_path / "again")
+    with pytest.raises(FileFormatError, match=r"report\.html shows"):
+        viewer_scene(found.out)
 
 
 def test_large_coordinates_give_the_same_mesh(scene, done, tmp_path):
@@ -147,7 +158,8 @@ def test_a_texture_that_is_too_small_is_a_warning_and_no_old_one_stays(scene, tm
     found = surface(scene.folder, out, max_size_px=192, texture_px=256, min_component=0.0)
     if any("no texture" in warning for warning in found.warnings):
         assert not (out / "textured.glb").exists()
-    surface(scene.folder, out, max_size_px=192, until="mesh")
+    with overwriting():
+        surface(scene.folder, out, max_size_px=192, until="mesh")
     assert not (out / "textured.glb").exists() and (out / "mesh.ply").is_file()
 
 
@@ -179,11 +191,30 @@ def test_masked_pixels_have_no_depth(scene, tmp_path):
     assert found.summary["reasons"]["masked"] > 0.5 and found.summary["density"] < 0.5
     for name in scene.names:
         write_png(masks / f"{name}.png", np.zeros((256, 384, 3), np.uint8))
-    with pytest.raises(DegenerateGeometryError, match="no pixel has a depth"):
-        surface(scene.folder, tmp_path / "nothing", masks=masks, max_size_px=192)
+    with pytest.raises(DegenerateGeometryError, match=r"no pixel has a depth.*: masked \(100 %"):
+        surface(scene.folder, tmp_path / "nothing", until="depth", masks=masks, max_size_px=192)
+    for name in scene.names:
+        write_png(masks / f"{name}.png", np.full((128, 192, 3), 255, np.uint8))
+    with pytest.raises(ConfigError, match=r"no mask for any image that is used .*192"):
+        surface(scene.folder, tmp_path / "half", masks=masks, max_size_px=192)
     with pytest.raises(ConfigError, match="has no mask"):
         (tmp_path / "empty").mkdir()
         surface(scene.folder, tmp_path / "none", masks=tmp_path / "empty")
+
+
+def test_nearly_opaque_pixels_and_images_without_a_mask(scene, tmp_path):
+    """Alpha of 254, as some programs write it; and a mask for one image only, which is reported."""
+    source, masks = copied(scene, tmp_path / "source"), tmp_path / "masks"
+    for name in scene.names:
+        rgb = cv2.imread(str(source / "images" / name))
+        alpha = np.full((*rgb.shape[:2], 1), 254, np.uint8)
+        png = cv2.imencode(".png", np.concatenate([rgb, alpha], axis=2))[1]
+        (source / "images" / name).write_bytes(png.tobytes())
+    masks.mkdir()
+    write_png(masks / f"{scene.names[0]}.png", np.full((256, 384, 3), 255, np.uint8))
+    found = surface(source, tmp_path / "out", until="depth", masks=masks, max_size_px=192)
+    assert found.summary["density"] > 0.5 and found.summary["reasons"]["masked"] < 0.05
+    assert any(f"masks for 1 of {VIEWS} images" in warning for warning in found.warnings)
 
 
 def test_an_unreadable_image_is_left_out_and_said(scene, tmp_path):

@@ -15,7 +15,8 @@ from epipole.dense.orthophoto import top_view
 from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.io.colmap.model import read_colmap_model, write_colmap_model
 from epipole.io.meshes.ply import read_points_ply
-from epipole.io.survey.coordinate_systems import lat_lon_alt_of
+from epipole.io.survey.coordinate_systems import is_in_area_of_use, lat_lon_alt_of, utm_zone
+from epipole.pipelines.surfaces.survey_stage import notes_on_cells
 from epipole.scene import Georeference
 from epipole.scene.textured_mesh import TexturedMesh
 
@@ -151,6 +152,59 @@ def test_a_model_without_a_position_is_refused_before_the_work(source, tmp_path)
     assert not (tmp_path / "out" / "units" / "depth").exists()
 
 
+def test_the_ground_sampling_distance_is_that_of_the_images(done, source, tmp_path):
+    found = surface(source.folder, tmp_path / "out", until="survey", texture_px=1024, max_size_px=192)
+    assert found.summary["gsd_m"] == pytest.approx(done.summary["gsd_m"], rel=0.1)
+    assert found.summary["resolution_m"] > done.summary["resolution_m"]
+
+
+@pytest.mark.parametrize("crs", ["EPSG:3857", "EPSG:2193"])
+def test_a_projection_that_stretches_lengths_is_refused(source, tmp_path, crs):
+    """Web Mercator, and New Zealand's projection, in Munich."""
+    with pytest.raises(ConfigError, match="shows lengths"):
+        surface(source.folder, tmp_path / "out", until="survey", crs=crs)
+    assert not (tmp_path / "out" / "units" / "depth").exists()
+
+
+def test_a_resolution_with_too_many_cells_is_refused_before_the_work(source, tmp_path):
+    with pytest.raises(ConfigError, match="coarser --resolution-m, or parts"):
+        surface(source.folder, tmp_path / "out", until="survey", resolution_m=1e-5)
+    assert not (tmp_path / "out" / "units" / "depth").exists()
+
+
+def test_cells_that_are_too_fine_are_reported():
+    facts = {"resolution_m": 0.02, "voxel": 0.04, "gsd_m": 0.016}
+    assert not notes_on_cells(facts)
+    assert "much finer than the mesh" in notes_on_cells(facts | {"voxel": 0.2})[0]
+    assert "finer than the pixels" in notes_on_cells(facts | {"gsd_m": 0.05})[0]
+
+
+@pytest.mark.parametrize(
+    ("lat_deg", "lon_deg", "zone"),
+    [
+        (48.2, 11.6, 32),
+        (60.4, 5.3, 32),
+        (55.9, 5.3, 31),
+        (78.2, 15.6, 33),
+        (78.2, 8.9, 31),
+        (75.0, 41.9, 37),
+        (71.9, 15.6, 33),
+        (-33.9, 18.4, 34),
+        (0.0, 180.0, 1),
+        (0.0, 179.9, 60),
+        (0.0, 359.0, 30),
+    ],
+)
+def test_utm_zones(lat_deg, lon_deg, zone):
+    """Bergen and Svalbard have zones of their own."""
+    assert utm_zone(lat_deg, lon_deg) == zone
+
+
+def test_the_area_for_which_a_projection_is_made():
+    assert is_in_area_of_use("EPSG:32632", 48.2, 11.6) and not is_in_area_of_use("EPSG:32660", 48.2, 11.6)
+    assert is_in_area_of_use("EPSG:3832", 0.0, 190.0) and is_in_area_of_use("+proj=utm +zone=32", 48.2, 100.0)
+
+
 def test_degrees_are_refused(source, tmp_path):
     with pytest.raises(ConfigError, match="degrees"):
         surface(source.folder, tmp_path / "out", until="survey", crs="EPSG:4326")
@@ -173,6 +227,28 @@ def test_the_highest_surface_is_seen_from_above():
     assert seen.height.shape == (8, 8) and (seen.x_min, seen.y_max) == (0.0, 4.0)
     assert seen.height[7, 0] == 5.0 and seen.height[0, 7] == 2.0 and seen.is_known.all()
     assert tuple(seen.rgb[7, 0]) == (0, 0, 200) and tuple(seen.rgb[0, 7]) == (200, 0, 0)
+
+
+def test_a_cell_has_the_mean_of_its_samples():
+    mesh = slab()
+    whole = top_view(mesh, mesh.vertices_in_world, 2.0, samples=8)
+    fine = top_view(mesh, mesh.vertices_in_world, 0.25)
+    means = fine.height.reshape(2, 8, 2, 8).mean(axis=(1, 3))
+    np.testing.assert_allclose(whole.height, means, atol=1e-5)
+    colors = fine.rgb.reshape(2, 8, 2, 8, 3).mean(axis=(1, 3))
+    assert np.abs(whole.rgb.astype(float) - colors).max() <= 0.5
+    assert whole.height[1, 0] == pytest.approx(3.5, abs=0.3)  # half at 5, half at 2
+
+
+def test_a_crop_is_the_same_part_of_the_whole():
+    mesh = slab()
+    whole = top_view(mesh, mesh.vertices_in_world, 0.5)
+    part = top_view(mesh, mesh.vertices_in_world, 0.5, (0.9, 0.6, 3.2, 9.0))
+    assert (part.x_min, part.y_max) == (1.0, 4.0) and part.height.shape == (7, 4)
+    np.testing.assert_array_equal(part.height, whole.height[:7, 2:6])
+    np.testing.assert_array_equal(part.rgb, whole.rgb[:7, 2:6])
+    with pytest.raises(DegenerateGeometryError):
+        top_view(mesh, mesh.vertices_in_world, 0.5, (8.0, 8.0, 9.0, 9.0))
 
 
 def test_wrong_resolutions_are_refused():

@@ -168,6 +168,10 @@ def _points(
 def _check_size(view: DenseView, depth: ViewDepth) -> None:
     if depth.depth.shape != view.rgb.shape[:2]:
         raise ShapeError(f"{view.name}: depth and image have different sizes")
+    if ((depth.depth > 0) & ~(depth.sigma > 0)).any():
+        raise ConfigError(
+            f"{view.name}: sigma must be positive where the depth is known; give exact depth a small one, such as 1e-4 of it"
+        )
 
 
 def _by_rows(height: int, work: Callable[[int, int, int], None]) -> None:

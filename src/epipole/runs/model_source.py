@@ -30,6 +30,8 @@ _MOST_STEPS = 8
 """Number of undistorted models of undistorted models."""
 _LEAST_LENGTH = 1e-6
 """Length of the mean of unit vectors below which it has no direction."""
+_AGREEING_UP, _SAME_VIEW = 0.7, 0.9
+"""Lengths of the mean of the upward axes below which they disagree, and of the mean viewing direction above which the cameras look the same way."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +144,10 @@ def has_z_up(model: Reconstruction, source: Path) -> bool:
 
 @checked
 def up_in_world(model: Reconstruction, is_z_up: bool) -> Float64[np.ndarray, " 3"]:
-    """The upward direction: +z if the model is known to have it, else the mean upward axis of the cameras.
+    """The upward direction: +z if the model is known to have it, else a guess from the cameras.
+
+    It is the mean of their upward axes. If these point in different directions while all cameras look the same way, as in a flight that
+    looks down on each line in the other direction, it is the direction that they come from.
 
     Args:
         model: the model.
@@ -151,4 +156,7 @@ def up_in_world(model: Reconstruction, is_z_up: bool) -> Float64[np.ndarray, " 3
     rotations = model.cams_from_world()[np.flatnonzero(model.is_registered())].rotation
     mean = -rotations[:, 1].mean(axis=0) if len(rotations) else np.zeros(3)
     length = float(np.linalg.norm(mean))
+    ahead = rotations[:, 2].mean(axis=0) if len(rotations) else np.zeros(3)
+    if not is_z_up and length < _AGREEING_UP and np.linalg.norm(ahead) > _SAME_VIEW:
+        return np.asarray(-ahead / np.linalg.norm(ahead))
     return np.array([0.0, 0.0, 1.0]) if is_z_up or length < _LEAST_LENGTH else np.asarray(mean / length)

@@ -33,6 +33,7 @@ from epipole.io.bags._topics import (
     listed_topics,
 )
 from epipole.io.images.deep_pixels import GrayScale
+from epipole.io.sequences.imu_order import in_order
 from epipole.io.sequences.imu_units import in_si_units
 from epipole.scene import StereoRig
 
@@ -196,7 +197,8 @@ def read_bag_imu(path: str | Path, topic: str | None = None, units: str = "") ->
         units: as in `read_imu`.
 
     Raises:
-        FileFormatError: the recording is unreadable, a number is not finite, or measurements are in another unit.
+        FileFormatError: the recording is unreadable, a number is not finite, measurements are in another unit, or the stamps are those
+            of several recordings.
         ConfigError: unknown units, there is no such topic, or several and none is chosen.
         MissingDependencyError: the package rosbags is not installed.
     """
@@ -217,9 +219,9 @@ def read_bag_imu(path: str | Path, topic: str | None = None, units: str = "") ->
     values = np.array(rows, np.float64).reshape(-1, 7)
     if not np.isfinite(values).all():
         raise FileFormatError(path, f"{imus[0].name}: a measurement is not finite")
-    values = values[np.unique(values[:, 0], return_index=True)[1]]  # by time, without duplicate stamps
-    gyro, accel, notes = in_si_units(path, values[:, 0], values[:, 1:4], values[:, 4:], units)
-    return ImuLog(values[:, 0].copy(), gyro.copy(), accel.copy(), notes)
+    values, notes = in_order(path, values)
+    gyro, accel, converted = in_si_units(path, values[:, 0], values[:, 1:4], values[:, 4:], units)
+    return ImuLog(values[:, 0].copy(), gyro.copy(), accel.copy(), (*notes, *converted))
 
 
 def _info_of(bag: OpenBag, topic: str, first: Any, topics: Sequence[BagTopic]) -> _Info | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +14,10 @@ from epipole.io.bags.recording import is_bag, read_bag_imu
 from epipole.io.calibration.camera_chains import camera_from_imu
 from epipole.io.calibration.files import parsed_file, read_body_from_camera
 from epipole.io.files import file_text
+from epipole.io.sequences.imu_order import in_order
 from epipole.io.sequences.imu_units import in_si_units, seconds_of_imu
 
 _COLUMNS = 7
-_MOST_BLOCKS, _OVERLAP_S = 4, 1.0
-"""Up to this many steps back in time, with overlaps longer than this (seconds), mean several recordings."""
 _DENSITIES = {
     "gyro_density": "gyroscope_noise_density",
     "accel_density": "accelerometer_noise_density",
@@ -52,43 +50,12 @@ def read_imu(path: str | Path, units: str = "") -> tuple[ImuLog, ImuNoise]:
     table = path / "data.csv" if path.is_dir() else path
     values = _table(table)
     values[:, 0], said = seconds_of_imu(table, values[:, 0])
-    values, more = _sorted(table, values)
+    values, more = in_order(table, values)
     gyro, accel, converted = in_si_units(table, values[:, 0], values[:, 1:4], values[:, 4:7], units)
     about = table.with_name("sensor.yaml")
     noise = _noise(about) if about.is_file() else ImuNoise()
     log = ImuLog(values[:, 0].copy(), gyro.copy(), accel.copy(), (*said, *more, *converted))
     return log, noise
-
-
-def _sorted(path: Path, values: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Sort rows by time and drop repeated times; also returns notes about both.
-
-    Raises:
-        FileFormatError: the rows belong to several recordings.
-    """
-    times = values[:, 0]
-    falls = np.flatnonzero(np.diff(times) < 0) + 1
-    blocks = np.split(times, falls)
-    if 0 < len(falls) <= _MOST_BLOCKS and len(times) > 2 * len(blocks):
-        spans = sorted((float(block[0]), float(block[-1])) for block in blocks)
-        if any(later[0] < earlier[1] - _OVERLAP_S for earlier, later in pairwise(spans)):
-            raise FileFormatError(
-                path,
-                f"sample {int(falls[0]) + 1} is earlier than the previous one, and the times from there on overlap with earlier "
-                "ones: the file contains several recordings, or the clock was set back. Pass a single recording",
-            )
-    order = np.argsort(times, kind="stable")
-    is_first = np.diff(times[order], prepend=-np.inf) > 0
-    said = []
-    if len(falls):
-        said.append(
-            f"{path.name}: {len(falls)} samples are earlier than the previous one; all were sorted by time"
-        )
-    if not is_first.all():
-        said.append(
-            f"{path.name}: {int((~is_first).sum())} samples repeat a time; only the first of each is used"
-        )
-    return values[order[is_first]], tuple(said)
 
 
 @checked

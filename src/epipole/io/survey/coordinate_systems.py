@@ -121,6 +121,43 @@ def has_meters(crs: str) -> bool:
     return bool(horizontal.is_projected)
 
 
+@checked
+def is_in_area_of_use(crs: str, lat_deg: float, lon_deg: float) -> bool:
+    """Whether a position is in the area for which a coordinate system is made; true if that is not known.
+
+    Args:
+        crs: the coordinate system.
+        lat_deg: latitude.
+        lon_deg: longitude, from -180 to 360.
+
+    Raises:
+        FileFormatError: pyproj does not know the coordinate system.
+        MissingDependencyError: pyproj is not installed.
+    """
+    if crs in (WGS84, LOCAL):
+        return True
+    _transformer(Path(crs), crs)
+    import pyproj
+
+    area = pyproj.CRS.from_user_input(crs).area_of_use
+    if area is None:
+        return True
+    east_of_west, span = (lon_deg - area.west) % 360.0, (area.east - area.west) % 360.0
+    is_whole = area.east - area.west >= 360.0
+    return area.south <= lat_deg <= area.north and (is_whole or east_of_west <= span)
+
+
+@checked
+def utm_zone(lat_deg: float, lon_deg: float) -> int:
+    """Number of the UTM zone of a position, with the exceptions of Norway and Svalbard (DMA TM 8358.2, section 2-3)."""
+    lon_deg = (lon_deg + 180.0) % 360.0 - 180.0
+    if 56.0 <= lat_deg < 64.0 and 3.0 <= lon_deg < 12.0:
+        return 32
+    if 72.0 <= lat_deg <= 84.0 and 0.0 <= lon_deg < 42.0:
+        return 31 + 2 * int(np.digitize(lon_deg, [9.0, 21.0, 33.0]))
+    return int(np.floor((lon_deg + 180.0) / 6.0)) + 1
+
+
 def _transformer(path: str | Path, crs: str) -> Any:
     """Transformer from a horizontal coordinate system to longitude and latitude.
 

@@ -299,6 +299,11 @@ def _notes_on_positions(images: ImageSet, gps: GpsAlignment, config: MapperConfi
         )
         more = f" and {len(far) - NUM_NAMED} more" if len(far) > NUM_NAMED else ""
         out.append(f"GPS positions that contradict the model are not used: {named}{more}")
+    if not np.isfinite(images.lat_lon_alt[:, 2]).any():
+        out.append(
+            "the GPS positions have no altitude: heights are relative to an origin at 0 m, not above the ellipsoid or the sea (control"
+            " points give them: epipole georeference --gcp)"
+        )
     if gps.up_sigma_rad > VAGUE_UP_RAD:
         out.append(
             "the GPS positions lie nearly on a line and do not determine the up direction, "

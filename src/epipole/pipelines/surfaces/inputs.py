@@ -18,7 +18,7 @@ from epipole.pipelines.sfm.run import reconstruct
 from epipole.pipelines.surfaces.config import SurfaceConfig
 from epipole.pipelines.surfaces.image_check import failures_of
 from epipole.pipelines.surfaces.view_files import ViewFile, pinhole_of
-from epipole.runs import Run, content_digests, digest
+from epipole.runs import Run, content_digests, digest, is_output_of
 from epipole.runs.model_source import ModelSource, is_model, model_source_of, up_in_world
 from epipole.scene import Reconstruction
 
@@ -42,6 +42,11 @@ class SurfaceInputs:
     warnings: tuple[str, ...]
     accuracy: dict[str, Any]
     """`summary.json` of the run that made the model, with the residuals of its survey; empty without one."""
+
+    @property
+    def image_scale(self) -> float:
+        """Side of a pixel of the images relative to one of the depth, which may be made of smaller images; the median."""
+        return float(np.median([view.pinhole.focal_px / view.image.camera.focal_px for view in self.views]))
 
     @property
     def usable(self) -> list[int]:
@@ -114,6 +119,10 @@ def _summary_of(folder: Path) -> dict[str, Any]:
 
 
 def _model_of(source: Path, run: Run, config: SurfaceConfig) -> tuple[ModelSource, list[str]]:
+    if is_output_of(source, "surface"):
+        raise ConfigError(
+            f"{source} is the output of `epipole surface`: pass the images or the model that it was made from"
+        )
     if is_model(source):
         return model_source_of(source, config.max_size_px, config.images), losses_in(source)
     if config.images is not None:
@@ -143,8 +152,10 @@ def _view_files(found: ModelSource, run: Run, config: SurfaceConfig, warnings: l
             continue
         images[row] = image, mask
         paths += [image.path] if mask is None else [image.path, mask]
-    if config.masks is not None and not any(mask is not None for _, mask in images.values()):
-        raise ConfigError(f"masks {config.masks} has no mask for any image (expected NAME.png)")
+    if config.masks is not None:
+        warnings += _masks_missing(
+            config.masks, {model.images.name[k]: m for k, (_, m) in images.items()}, warnings
+        )
     digests = content_digests(paths, run.root / "units" / DIGESTS, run.job.progress)
     failures = failures_of({image.path: digests[image.path] for image, _ in images.values()}, run)
     for row in [row for row, (image, _) in images.items() if image.path in failures]:
@@ -168,6 +179,24 @@ def _view_files(found: ModelSource, run: Run, config: SurfaceConfig, warnings: l
         )
         views.append(ViewFile(name, image, pinhole, motion, mask, limits, key))
     return views
+
+
+def _masks_missing(folder: Path, mask_of_image: dict[str, Path | None], warnings: list[str]) -> list[str]:
+    """A warning if some images have no mask.
+
+    Raises:
+        ConfigError: none has one that can be used.
+    """
+    without = [name for name, mask in mask_of_image.items() if mask is None]
+    if len(without) == len(mask_of_image):
+        why = f"; {warnings[-1]}" if warnings else ""
+        raise ConfigError(f"masks {folder} has no mask for any image that is used (expected NAME.png){why}")
+    if not without:
+        return []
+    count = len(mask_of_image) - len(without)
+    return [
+        f"masks for {count} of {len(mask_of_image)} images: the others are used without one ({without[0]} ...)"
+    ]
 
 
 def _mask_of(found: ModelSource, config: SurfaceConfig, name: str) -> Path | None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from epipole.errors import DegenerateGeometryError
 from epipole.pipelines.surfaces.depth_stage import depth_in
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
 from epipole.runs import Run, Unit
@@ -25,6 +26,20 @@ class DepthFigures:
     """(n,) median standard deviation relative to the depth; NaN without any."""
     reasons: np.ndarray
     """(n, 8) fraction of pixels by reason."""
+
+    def require_depth(self) -> None:
+        """Check that some pixel has a depth.
+
+        Raises:
+            DegenerateGeometryError: none has; the message has the most frequent reason.
+        """
+        if not self.density.any():
+            shares = self.reasons.mean(axis=0)
+            reason = DepthReason(int(np.argmax(shares)))
+            words = reason.name.lower().replace("_", " ")
+            raise DegenerateGeometryError(
+                f"no pixel has a depth, so there is no surface; the most frequent reason is: {words} ({100 * shares[reason]:.0f} % of the pixels)"
+            )
 
 
 def depth_figures(inputs: SurfaceInputs, depths: Mapping[int, Unit]) -> DepthFigures:

@@ -11,7 +11,7 @@ from epipole._checks import as_path
 from epipole.config import options_of
 from epipole.dense.fusion import DensePoints
 from epipole.dense.volume_building import median_pixel
-from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
+from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, WorkspaceError
 from epipole.io.files import missing_in_words
 from epipole.io.meshes.cloud_ply import Columns, write_cloud_ply
 from epipole.io.meshes.mesh_ply import write_mesh_ply
@@ -24,10 +24,25 @@ from epipole.pipelines.surfaces.mesh_stage import depth_images, first_view, mesh
 from epipole.pipelines.surfaces.options import SurfaceKeywords
 from epipole.pipelines.surfaces.page import render_page
 from epipole.pipelines.surfaces.results import depth_figures, summary_of
-from epipole.pipelines.surfaces.survey_stage import check_survey, require_survey_packages, write_survey
+from epipole.pipelines.surfaces.survey_stage import (
+    check_survey,
+    notes_on_cells,
+    require_survey_packages,
+    write_survey,
+)
 from epipole.pipelines.surfaces.texture_stage import COARSE_TEXELS, texel_side, texture_of, write_textured
 from epipole.pipelines.surfaces.view_files import view_of_file
-from epipole.runs import Job, ProgressCallback, Run, Unit, ignore_progress, open_run
+from epipole.runs import (
+    Job,
+    ProgressCallback,
+    Run,
+    Unit,
+    ignore_progress,
+    is_output_of,
+    is_overwriting,
+    open_run,
+    read_mark,
+)
 from epipole.scene import Mesh
 from epipole.scene.notebook import table_html
 from epipole.scene.textured_mesh import TexturedMesh
@@ -88,6 +103,7 @@ def surface(
     if not source.exists():
         raise FileFormatError(source, missing_in_words(source))
     _require_packages(wanted)
+    _refuse_fewer_stages(target, wanted)
     settings = {"config": {name: value for name, value in asdict(wanted).items() if name != "threads"}}
     job = Job(
         kind="surface",
@@ -101,12 +117,30 @@ def surface(
         with run.stage("open"):
             inputs = surface_inputs(source, run, wanted)
             if wanted.until == "survey":
-                check_survey(inputs, wanted)
+                run.warnings += check_survey(inputs, wanted)
         run.warnings += inputs.warnings
         try:
             return _surface_of(inputs, wanted, run)
         finally:
             view_of_file.cache_clear()
+
+
+def _refuse_fewer_stages(out: Path, config: SurfaceConfig) -> None:
+    """Check that a run that ends earlier does not remove the results of later stages.
+
+    Raises:
+        WorkspaceError: it would, and `--overwrite` was not passed.
+    """
+    if is_overwriting() or not is_output_of(out, "surface"):
+        return
+    mark = read_mark(out)
+    later = STAGES[STAGES.index(config.until) + 1 :]
+    lost = [stage for stage in later if mark is not None and mark.files.get(stage)]
+    if lost:
+        raise WorkspaceError(
+            f"{out} has results of later stages ({', '.join(lost)}), which a run until {config.until} would remove: choose another output"
+            " folder, or pass --overwrite"
+        )
 
 
 def _require_packages(config: SurfaceConfig) -> None:
@@ -127,6 +161,7 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
         depths = depth_units(inputs, units / "depth")
         run.do(list(depths.values()), "depth")
         figures = depth_figures(inputs, depths)
+        figures.require_depth()
     _withdraw("cloud", run)
     facts: dict[str, Any] = {}
     clouds, mesh, sample = dict[int, Unit](), None, None
@@ -152,6 +187,7 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
             with run.stage("survey"), run.folder.publish("survey") as aside:
                 survey = write_survey(aside, textured, clouds, inputs, pixel, config)
                 facts |= survey.facts
+            run.warnings += notes_on_cells(facts)
             run.report("survey", 1, 1)
     with run.stage("write"), run.folder.publish("report") as aside:
         summary = summary_of(inputs, figures, facts, run)

@@ -58,7 +58,10 @@ def read(path: Path) -> TexturedMesh | PlyMesh:
         return read_glb(path / f"{NAME}.glb")
     found = next((path / name for name in (MESH, CLOUD) if (path / name).is_file()), None)
     if found is None:
-        raise FileFormatError(path, "it has no surface: the run did not finish")
+        raise FileFormatError(
+            path,
+            "it has no surface: the run did not finish, or ended with the depth, which report.html shows (--until cloud)",
+        )
     return read_mesh_ply(found)
 
 

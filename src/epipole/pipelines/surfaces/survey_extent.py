@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from epipole._checks import MOST_PIXELS
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.io.survey.contours import check_interval
@@ -15,12 +16,14 @@ from epipole.scene import Georeference
 
 BORDER = 0.01
 """Quantile of the points' coordinates that is named as the border of the model: single points may be wrong."""
+MOST_CELLS = 0.9 * MOST_PIXELS
+"""Cells of a raster; the grid has some more at its borders."""
 GROUND = 0.05
 """Quantiles of the points' heights between which contour lines are counted."""
 
 
 def check_extent(inputs: SurfaceInputs, origin: Georeference, crs: str, config: SurfaceConfig) -> None:
-    """Check that some image shows the crop, and that contour lines are not too many for the heights of the model's points.
+    """Check that some image shows the crop, and that cells and contour lines are not too many for the model's points.
 
     Raises:
         ConfigError: they are not.
@@ -29,9 +32,38 @@ def check_extent(inputs: SurfaceInputs, origin: Georeference, crs: str, config: 
     positions = coordinates_of(origin.lat_lon_alt_of(points[np.isfinite(points).all(axis=1)]), crs)
     if config.crop is not None:
         _check_crop(inputs, origin, crs, config.crop, positions)
+    if config.resolution_m is not None and len(positions):
+        low, high = np.quantile(positions, [BORDER, 1.0 - BORDER], axis=0)
+        check_cells(np.stack([low, high]), config.resolution_m, config.crop)
     if config.contour_m is not None:
         lowest, highest = np.quantile(positions[:, 2], [GROUND, 1.0 - GROUND])
         check_interval(config.contour_m, float(lowest), float(highest))
+
+
+def cells_within(
+    positions: np.ndarray, resolution: float, crop: tuple[float, float, float, float] | None
+) -> float:
+    """Number of cells of the rectangle around positions (n, 3), within the crop."""
+    low, high = positions[:, :2].min(axis=0), positions[:, :2].max(axis=0)
+    if crop is not None:
+        low, high = np.maximum(low, crop[:2]), np.minimum(high, crop[2:])
+    return float(np.prod(np.maximum(high - low, 0.0) / resolution))
+
+
+def check_cells(
+    positions: np.ndarray, resolution: float, crop: tuple[float, float, float, float] | None
+) -> None:
+    """Check that the cells of the rectangle around positions (n, 3) are not too many.
+
+    Raises:
+        ConfigError: they are.
+    """
+    cells = cells_within(positions, resolution, crop)
+    if cells > MOST_CELLS:
+        raise ConfigError(
+            f"{cells:.3g} cells of {resolution:g} m are more than {MOST_CELLS:.3g}: pass a coarser --resolution-m, or parts of the area"
+            " (--crop) one after another"
+        )
 
 
 def _check_crop(

@@ -12,21 +12,34 @@ import numpy as np
 
 from epipole.dense.orthophoto import TopView, top_view
 from epipole.dense.terrain import terrain_model
-from epipole.errors import ConfigError
+from epipole.errors import ConfigError, DegenerateGeometryError
 from epipole.io.survey.contours import default_interval, require_contours, write_contours
-from epipole.io.survey.coordinate_systems import LOCAL, WGS84, coordinates_of, has_meters
+from epipole.io.survey.coordinate_systems import (
+    LOCAL,
+    WGS84,
+    coordinates_of,
+    has_meters,
+    is_in_area_of_use,
+    utm_zone,
+)
 from epipole.io.survey.point_clouds import LazChunk, require_laspy, write_laz_chunks
 from epipole.io.survey.rasters import Raster, require_rasterio, write_geotiff
 from epipole.pipelines.surfaces.cloud_stage import points_in
 from epipole.pipelines.surfaces.config import SurfaceConfig
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
-from epipole.pipelines.surfaces.survey_extent import check_extent
+from epipole.pipelines.surfaces.survey_extent import cells_within, check_cells, check_extent
 from epipole.runs import Unit
 from epipole.scene import Georeference
 from epipole.scene.textured_mesh import TexturedMesh
 
+MOST_SAMPLES, MOST_PER_SIDE = 5e7, 8
+"""Samples of the view from above in all, and along a side of a cell, at most."""
+FINE_CELLS, FINE_PIXELS = 5.0, 0.5
+"""Voxels larger than this many cells, and cells smaller than this part of a pixel, are reported."""
 SMOOTH_CELLS = 2.0
 """Standard deviation of the smoothing of contour lines, in cells."""
+STEP_M, MOST_STRETCHED = 100.0, 0.01
+"""Length on the ground whose image in the coordinate system is compared, and the largest relative difference."""
 CELL_PIXELS = 1.0
 """Side of a cell, in pixels at the median depth of all views."""
 
@@ -53,16 +66,40 @@ def require_georeference(inputs: SurfaceInputs, config: SurfaceConfig) -> Georef
     return found
 
 
-def check_survey(inputs: SurfaceInputs, config: SurfaceConfig) -> None:
-    """Check that survey products are possible, before depth is computed.
+def check_survey(inputs: SurfaceInputs, config: SurfaceConfig) -> list[str]:
+    """Check that survey products are possible, before depth is computed; returns warnings.
 
     Raises:
-        ConfigError: the model has no position on Earth, no image shows the crop, or contour lines are too many.
+        ConfigError: the model has no position on Earth, the coordinate system is not for this area, no image shows the crop, or cells
+            or contour lines are too many.
         MissingDependencyError: pyproj is not installed.
         FileFormatError: the coordinate system is unknown.
     """
     origin = require_georeference(inputs, config)
-    check_extent(inputs, origin, crs_of(origin, config), config)
+    crs = crs_of(origin, config)
+    _check_scale(origin, crs)
+    check_extent(inputs, origin, crs, config)
+    if is_in_area_of_use(crs, origin.lat_deg, origin.lon_deg):
+        return []
+    return [
+        f"the model is outside the area for which {crs} is made: check --crs, or the first line of the control points"
+    ]
+
+
+def _check_scale(origin: Georeference, crs: str) -> None:
+    """Check that lengths in a coordinate system are those on the ground.
+
+    Raises:
+        ConfigError: they differ by more than a percent.
+    """
+    steps = np.array([[0.0, 0.0, 0.0], [STEP_M, 0.0, 0.0], [0.0, STEP_M, 0.0]])
+    found = coordinates_of(origin.lat_lon_alt_of(steps), crs)[:, :2]
+    factors = np.linalg.norm(found[1:] - found[0], axis=1) / STEP_M
+    if not np.abs(factors - 1.0).max() <= MOST_STRETCHED:
+        raise ConfigError(
+            f"{crs} shows lengths {factors[0]:.2f} times (east) and {factors[1]:.2f} times (north) as long as they are here, so cells and"
+            " areas would be wrong: pass a projection for this area (--crs), such as its UTM zone, which is the default"
+        )
 
 
 def require_survey_packages() -> None:
@@ -82,7 +119,7 @@ def crs_of(origin: Georeference, config: SurfaceConfig) -> str:
         return config.crs
     if origin.crs not in (WGS84, LOCAL) and has_meters(origin.crs):
         return origin.crs
-    zone = int(np.clip(np.floor((origin.lon_deg + 180.0) / 6.0) + 1, 1, 60))
+    zone = utm_zone(origin.lat_deg, origin.lon_deg)
     return f"EPSG:{32600 + zone if origin.lat_deg >= 0 else 32700 + zone}"
 
 
@@ -115,7 +152,7 @@ def write_survey(
     crs = crs_of(origin, config)
     resolution = config.resolution_m or _rounded(CELL_PIXELS * pixel_m)
     positions = coordinates_of(origin.lat_lon_alt_of(mesh.vertices_in_world), crs)
-    seen = _cropped(top_view(mesh, positions, resolution), config.crop, crs)
+    seen = _view_from_above(mesh, positions, resolution, pixel_m, config, crs)
     corner = seen.x_min, seen.y_max, seen.resolution, crs
     alpha = np.where(seen.is_known, np.uint8(255), np.uint8(0))[..., None]
     heights = Raster(seen.height, *corner)
@@ -129,34 +166,57 @@ def write_survey(
     write_laz_chunks(folder / "cloud.laz", _chunks(clouds, origin, crs, config.crop), crs=crs)
     height, width = seen.height.shape
     facts: dict[str, Any] = {"crs": crs, "resolution_m": resolution, "raster_size": [width, height]}
-    facts |= {"gsd_m": pixel_m, "contour_m": interval, "area_m2": float(seen.is_known.sum()) * resolution**2}
+    facts |= {"gsd_m": pixel_m * inputs.image_scale, "contour_m": interval}
+    facts |= {"area_m2": float(seen.is_known.sum()) * resolution**2}
     return Survey(heights, terrain, orthophoto, facts)
 
 
-def _cropped(view: TopView, crop: tuple[float, float, float, float] | None, crs: str) -> TopView:
-    """The cells whose centers are within the borders."""
-    if crop is None:
-        return view
-    west, south, east, north = crop
-    height, width = view.height.shape
-    x = view.x_min + (np.arange(width) + 0.5) * view.resolution
-    y = view.y_max - (np.arange(height) + 0.5) * view.resolution
-    columns, rows = (
-        np.flatnonzero((a >= low) & (a <= high)) for a, low, high in ((x, west, east), (y, south, north))
-    )
-    if not (len(columns) and len(rows) and view.is_known[np.ix_(rows, columns)].any()):
-        raise ConfigError(
-            f"nothing is inside the crop: the surface is from {x[0]:.0f}, {y[-1]:.0f} to {x[-1]:.0f}, {y[0]:.0f} in {crs}"
+def notes_on_cells(facts: Mapping[str, Any]) -> list[str]:
+    """Warnings if the cells are finer than what the mesh or the images show.
+
+    Args:
+        facts: with `resolution_m`, `voxel` and `gsd_m`.
+    """
+    cell, voxel, gsd = facts["resolution_m"], facts["voxel"], facts["gsd_m"]
+    if voxel > FINE_CELLS * cell:
+        return [
+            f"the cells of {cell:g} m are much finer than the mesh, whose voxels are {voxel:.2g} m: heights between them are interpolated"
+            " (--voxel, --crop)"
+        ]
+    if cell < FINE_PIXELS * gsd:
+        return [f"the cells of {cell:g} m are finer than the pixels of the images, {gsd:.2g} m on the ground"]
+    return []
+
+
+def _view_from_above(
+    mesh: TexturedMesh,
+    positions: np.ndarray,
+    resolution: float,
+    pixel_m: float,
+    config: SurfaceConfig,
+    crs: str,
+) -> TopView:
+    """The cells within the borders, of samples about as large as the pixels of the depth.
+
+    Raises:
+        ConfigError: the resolution is too fine for the scene, or nothing is inside the crop.
+    """
+    check_cells(positions, resolution, config.crop)
+    cells = cells_within(positions, resolution, config.crop)
+    most = int(np.sqrt(MOST_SAMPLES / max(cells, 1.0)))
+    samples = int(np.clip(round(resolution / pixel_m), 1, max(1, min(most, MOST_PER_SIDE))))
+    try:
+        return top_view(mesh, positions, resolution, config.crop, samples)
+    except DegenerateGeometryError as error:
+        (x_low, y_low), (x_high, y_high) = positions[:, :2].min(axis=0), positions[:, :2].max(axis=0)
+        what = (
+            f"no cell of {resolution:g} m has a surface"
+            if config.crop is None
+            else "nothing is inside the crop"
         )
-    part = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    return TopView(
-        np.ascontiguousarray(view.height[part]),
-        np.ascontiguousarray(view.rgb[part]),
-        np.ascontiguousarray(view.is_known[part]),
-        view.x_min + float(columns[0]) * view.resolution,
-        view.y_max - float(rows[0]) * view.resolution,
-        view.resolution,
-    )
+        raise ConfigError(
+            f"{what}: the surface is from {x_low:.0f}, {y_low:.0f} to {x_high:.0f}, {y_high:.0f} in {crs}"
+        ) from error
 
 
 def _smooth(terrain: Raster) -> Raster:

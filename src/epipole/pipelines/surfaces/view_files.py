@@ -17,6 +17,8 @@ from epipole.io.images.photographs import GrayRange, read_mask_file
 from epipole.io.images.rgba import read_rgba
 from epipole.io.models.images import ModelImage
 
+OPAQUE = 128
+"""Least alpha of pixels that are used."""
 CACHED_VIEWS = 24
 """Views kept in memory: neighbors share most of their sources."""
 
@@ -79,8 +81,8 @@ def _pixels_and_mask(file: ViewFile) -> tuple[np.ndarray, np.ndarray | None]:
     used = None
     if file.mask is not None:
         used = read_mask_file(file.mask, file.name, size=(rgb.shape[1], rgb.shape[0]))
-    if rgba is not None and not (rgba[..., 3] == 255).all():
-        opaque = rgba[..., 3] == 255
+    if rgba is not None and not (rgba[..., 3] >= OPAQUE).all():
+        opaque = rgba[..., 3] >= OPAQUE
         used = opaque if used is None else used & opaque
     return rgb, used
 

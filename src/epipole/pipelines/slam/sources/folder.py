@@ -26,6 +26,8 @@ from epipole.scene import StereoRig
 
 ReadImage = Callable[[Path], UInt8[np.ndarray, "h w"]]
 
+LONGEST_BASELINE_M = 5.0
+"""Longest baseline of a pair of cameras that is not questioned."""
 FAR_MM = 65535
 """Value for unknown depth, besides zero."""
 
@@ -86,14 +88,24 @@ def of_pair(rig: StereoRig) -> Preparation:
     """Rectify the images of two cameras, unless they are rectified already."""
     camera, found = SlamCamera.of_rig(rig), rectification_of(rig)
     if found is None:
-        return Preparation(camera, Rigid3.identity(), Frame)
+        return Preparation(camera, Rigid3.identity(), Frame, lambda: _notes_on_baseline(rig))
     assert camera.left_from_camera is not None
     return Preparation(
         camera,
         camera.left_from_camera,
         lambda seconds, left, right: Frame.from_pair(seconds, left, right, rig),
+        notes=lambda: _notes_on_baseline(rig),
         flat=lambda image: found.apply(image, image)[0],
     )
+
+
+def _notes_on_baseline(rig: StereoRig) -> list[str]:
+    """A warning if the baseline is that of a calibration in millimeters or centimeters."""
+    if rig.baseline <= LONGEST_BASELINE_M:
+        return []
+    return [
+        f"the baseline of the pair is {rig.baseline:g} m: if the calibration is in another unit, all lengths are wrong by that factor"
+    ]
 
 
 def of_depth(intrinsics: Camera, sensor: Camera | None, depth_from_color: Rigid3 | None) -> Preparation:

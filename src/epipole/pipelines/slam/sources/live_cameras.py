@@ -102,7 +102,7 @@ def open_cameras(
         0,
         frames,
         made.body_from_camera,
-        camera.notes,
+        lambda: [*camera.notes(), *made.notes()],
         is_live=True,
         about={"layout": layout, "sensor": sensor, "camera_source": "given"},
     )

@@ -81,7 +81,7 @@ def open_video_frames(
             video.release()
 
     def all_notes() -> list[str]:
-        return [*notes, *counted.notes()]
+        return [*notes, *counted.notes(), *made.notes()]
 
     about = {"layout": "video", "sensor": "stereo" if is_pair else "mono", "camera_source": _GIVEN}
     return FrameSource(made.camera, max(count, 1), frames, made.body_from_camera, all_notes, about=about)
