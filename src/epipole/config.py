@@ -332,7 +332,7 @@ class AnchorOptions:
     imu: Path | None = None
     """IMU measurements: EuRoC's imu0 folder, `SECONDS wx wy wz ax ay az` per line, or a ROS recording."""
     imu_mounting: Path | None = None
-    """Mounting of the IMU: EuRoC's sensor.yaml of the camera (T_BS), or Kalibr's file with T_cam_imu."""
+    """Mounting of the IMU: EuRoC's sensor.yaml of the camera (T_BS), Kalibr's T_cam_imu, or settings of ORB-SLAM3 or OKVIS."""
     imu_units: str = ""
     """Units of the IMU: m/s^2, g or mg, and rad/s or deg/s, such as g,deg/s; empty: found by content."""
 

@@ -106,7 +106,7 @@ from epipole.io.images.writing import write_jpeg_with_exif
 from epipole.io.meshes.gltf import read_glb, write_glb
 from epipole.io.meshes.mesh_ply import read_mesh_ply, write_mesh_ply
 from epipole.io.models.llff import read_llff
-from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu
+from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu, read_mounted_imu
 from epipole.io.sequences.rig_folders import read_rig_sequence
 from epipole.io.sequences.stereo_video import extract_pairs
 from epipole.io.survey.control_points import read_control_points
@@ -397,6 +397,9 @@ def _imu(folder: Path) -> None:
 
 def _imu_mounting(folder: Path) -> None:
     assert np.isfinite(read_camera_from_imu(folder / "a.yaml").as_matrix()).all()
+    (folder / "imu.csv").write_text("0.5,0.1,0,0,9.8,0,0\n0.505,0,0,1,9,0,1\n")
+    found = read_mounted_imu(folder / "imu.csv", folder / "a.yaml")
+    assert np.isfinite(found.log.timestamp_s).all() and found.noise.gyro_density > 0
 
 
 SLAM_CAMERA = SlamCamera(Camera("PINHOLE", 32, 24, [30.0, 30.0, 15.5, 11.5]))
@@ -1100,9 +1103,9 @@ FORMATS: dict[str, Format] = {
         _put(
             "a.yaml",
             b"cam0:\n  T_cam_imu:\n  - [1.0, 0.0, 0.0, 0.1]\n  - [0.0, 1.0, 0.0, 0.0]\n"
-            b"  - [0.0, 0.0, 1.0, 0.0]\n  - [0.0, 0.0, 0.0, 1.0]\n",
+            b"  - [0.0, 0.0, 1.0, 0.0]\n  - [0.0, 0.0, 0.0, 1.0]\n  timeshift_cam_imu: 0.01\ngyroscope_noise_density: 0.001\n",
         ),
-        *("a.yaml", "text", _imu_mounting, ("read_camera_from_imu",)),
+        *("a.yaml", "text", _imu_mounting, ("read_camera_from_imu", "read_mounted_imu")),
     ),
     "slam-map": Format(
         _put_slam_map, "map.npz", "sealed", _slam_map, ("read_slam_map", "load_slam_map", "read_known_maps")

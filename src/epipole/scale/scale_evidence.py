@@ -17,7 +17,7 @@ from epipole.features.tags import find_tags
 from epipole.geometry import Rigid3
 from epipole.inertial import MountedImu
 from epipole.io.anchor_files import KnownLength, read_anchor_positions, read_lengths, read_odometry
-from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu
+from epipole.io.sequences.imu_logs import read_camera_from_imu, read_imu, read_mounted_imu
 from epipole.robust import triangulate_points
 from epipole.scale.anchor_views import AnchorViews, joined_words
 from epipole.scale.inertial_scale import fit_scale_to_imu
@@ -124,8 +124,7 @@ def mounted_imu(options: AnchorOptions) -> MountedImu | None:
     """
     if options.imu is None or options.imu_mounting is None:
         return None
-    log, noise = read_imu(options.imu, options.imu_units)
-    return MountedImu(log, read_camera_from_imu(options.imu_mounting), noise)
+    return read_mounted_imu(options.imu, options.imu_mounting, options.imu_units)
 
 
 def _of_length(views: AnchorViews, known: KnownLength, options: AnchorOptions) -> ScaleEstimate:

@@ -64,7 +64,7 @@ def orb_slam_cameras(
         key = next(
             (key for key in ("Stereo.T_c1_c2", "Tlr", "Stereo.Tlr") if key in content), "Stereo.T_c1_c2"
         )
-        second_from_first = motion_of(path, {key: _square(path, content, key)}, key).inverse()
+        second_from_first = square_motion(path, content, key).inverse()
         return (camera, _camera(path, content, "Camera2", kind, shape)), _rig(second_from_first)
     baseline = _baseline(path, content, camera)
     if baseline is None:
@@ -129,12 +129,17 @@ def _camera(path: Path, content: Mapping[str, Any], name: str, kind: str, size: 
     return camera_of_coefficients(path, size, K, d, is_fisheye=kind == _FISHEYE)
 
 
-def _square(path: Path, content: Mapping[str, Any], key: str) -> np.ndarray:
-    """A motion of three or four rows."""
+def square_motion(path: Path, content: Mapping[str, Any], key: str) -> Rigid3:
+    """The rigid motion of a matrix with three or four rows.
+
+    Raises:
+        FileFormatError: it has another size, or is not a rigid motion.
+    """
     values = numbers_of(path, content, key)
     if len(values) not in (12, 16):
         raise FileFormatError(path, f"{key} is neither 3 x 4 nor 4 x 4 numbers")
-    return np.append(values, [0.0, 0.0, 0.0, 1.0])[:16].reshape(4, 4)
+    matrix = np.append(values, [0.0, 0.0, 0.0, 1.0])[:16].reshape(4, 4)
+    return motion_of(path, {key: matrix}, key)
 
 
 def _raw_pair(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,21 +10,15 @@ import numpy as np
 from epipole._checks import checked
 from epipole.errors import FileFormatError
 from epipole.geometry import Rigid3
-from epipole.inertial import ImuLog, ImuNoise
+from epipole.inertial import ImuLog, ImuNoise, MountedImu
 from epipole.io.bags.recording import is_bag, read_bag_imu
-from epipole.io.calibration.camera_chains import camera_from_imu
 from epipole.io.calibration.files import parsed_file, read_body_from_camera
+from epipole.io.calibration.imu_settings import clock_offset_of, mounting_of, noise_of
 from epipole.io.files import file_text
 from epipole.io.sequences.imu_order import in_order
 from epipole.io.sequences.imu_units import in_si_units, seconds_of_imu
 
 _COLUMNS = 7
-_DENSITIES = {
-    "gyro_density": "gyroscope_noise_density",
-    "accel_density": "accelerometer_noise_density",
-    "gyro_walk": "gyroscope_random_walk",
-    "accel_walk": "accelerometer_random_walk",
-}
 
 
 @checked
@@ -53,14 +48,14 @@ def read_imu(path: str | Path, units: str = "") -> tuple[ImuLog, ImuNoise]:
     values, more = in_order(table, values)
     gyro, accel, converted = in_si_units(table, values[:, 0], values[:, 1:4], values[:, 4:7], units)
     about = table.with_name("sensor.yaml")
-    noise = _noise(about) if about.is_file() else ImuNoise()
+    stated = noise_of(parsed_file(about)) if about.is_file() else None
     log = ImuLog(values[:, 0].copy(), gyro.copy(), accel.copy(), (*said, *more, *converted))
-    return log, noise
+    return log, stated or ImuNoise()
 
 
 @checked
 def read_camera_from_imu(path: str | Path) -> Rigid3:
-    """Read camera_from_imu: `T_cam_imu` or `T_imu_cam` of the first camera (Kalibr, OpenVINS), or T_BS (EuRoC).
+    """Read camera_from_imu of the first camera from a file of Kalibr, OpenVINS, EuRoC, ORB-SLAM3 or OKVIS (see `imu_settings`).
 
     The IMU may be any point on the body; odometry measured at the center of the wheel axle uses the same format.
 
@@ -68,10 +63,32 @@ def read_camera_from_imu(path: str | Path) -> Rigid3:
         FileFormatError: the file has none of these keys.
     """
     path = Path(path)
-    content = parsed_file(path)
-    own = content.get("cam0", content)
-    found = camera_from_imu(path, own) if isinstance(own, dict) else None
+    found = mounting_of(path, parsed_file(path))
     return read_body_from_camera(path).inverse() if found is None else found
+
+
+@checked
+def read_mounted_imu(path: str | Path, mounting: str | Path, units: str = "") -> MountedImu:
+    """Read an IMU log with the IMU's mounting, and what the file of the mounting states about clock and noise.
+
+    Args:
+        path: the log, as for `read_imu`; noise beside it counts before that of the mounting.
+        mounting: the file of the mounting, as for `read_camera_from_imu`. With an offset of the IMU's clock (timeshift_cam_imu),
+            the log gets the times of the camera's clock, and a note.
+        units: as for `read_imu`.
+
+    Raises:
+        FileFormatError, ConfigError, MissingDependencyError: as of the two.
+    """
+    (log, noise), mounting = read_imu(path, units), Path(mounting)
+    content = parsed_file(mounting)
+    offset_s, stated = clock_offset_of(mounting, content), noise_of(content)
+    if offset_s:
+        note = f"{mounting.name}: the IMU's clock is {1e3 * offset_s:g} ms ahead of the camera's (timeshift_cam_imu): corrected"
+        log = replace(log, timestamp_s=log.timestamp_s - offset_s, notes=(*log.notes, note))
+    if stated is not None and noise == ImuNoise():
+        noise = stated
+    return MountedImu(log, read_camera_from_imu(mounting), noise)
 
 
 def _table(path: Path) -> np.ndarray:
@@ -89,17 +106,3 @@ def _table(path: Path) -> np.ndarray:
     if not rows:
         raise FileFormatError(path, "it contains no IMU measurements")
     return np.array(rows)
-
-
-def _noise(path: Path) -> ImuNoise:
-    """Noise densities from EuRoC's sensor.yaml; defaults for missing ones."""
-    content = parsed_file(path)
-    known = {}
-    for name, key in _DENSITIES.items():
-        try:
-            value = float(content[key])
-        except (KeyError, TypeError, ValueError):
-            continue
-        if 0 < value < np.inf:
-            known[name] = value
-    return ImuNoise(**known)

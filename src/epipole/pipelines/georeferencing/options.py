@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TypedDict
 
 
+
 class GeoreferenceKeywords(TypedDict, total=False):
     """Fields of `GeoreferenceConfig`, each optional."""
 
