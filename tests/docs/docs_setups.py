@@ -134,6 +134,15 @@ def ride(_: Path) -> dict[str, Any]:
     }
 
 
+def moving_depth_camera(folder: Path) -> dict[str, Any]:
+    """The same, as the camera of SLAM and its first frame."""
+    given = ride(folder)
+    seconds, gray, depth = given["images"][0]
+    sensor = DepthCamera(given["camera"], Rigid3.identity())
+    frame = {"seconds": seconds, "gray": gray, "depth": depth}
+    return given | frame | {"slam_camera": SlamCamera(given["camera"], depth=sensor)}
+
+
 def rig_instants(_: Path) -> dict[str, Any]:
     """Two parallel cameras that move sideways before the courtyard."""
     given = ride(_)
@@ -170,8 +179,7 @@ def pair_ride(folder: Path) -> dict[str, Any]:
 
 def mapped_ride(folder: Path) -> dict[str, Any]:
     """The ride of the depth camera, and its map in OUT."""
-    names = ride(folder)
-    names["slam_camera"] = SlamCamera(names["camera"], depth=DepthCamera(names["camera"], Rigid3.identity()))
+    names = moving_depth_camera(folder)
     slam = Slam(names["slam_camera"])
     for seconds, gray, depth in names["images"]:
         slam.track(Frame(seconds, gray, depth=depth))
@@ -254,6 +262,7 @@ PREPARED: dict[str, Callable[[Path], dict[str, Any]]] = {
     "pose_graphs": pose_graph,
     "relative_pose": lambda _: two_views(),
     "slam": pair_ride,
+    "slam_imu": moving_depth_camera,
     "slam_live": ride,
     "slam_maps": mapped_ride,
     "slam_rigs": rig_instants,

@@ -334,7 +334,7 @@ WORLDS: dict[str, Callable[[Path], None]] = {
     "scale-0": meters_for_photographs,
     "slam-0": stopped_ride,
     "slam-1": meters_for_slam,
-    "slam-2": ride_with_imu,
+    "slam_imu-0": ride_with_imu,
     "slam_maps-0": maps,
     "slam_maps-1": stopped_ride,
     "slam_rigs-0": rig_ride,

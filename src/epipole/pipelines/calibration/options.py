@@ -11,11 +11,11 @@ class CalibrationKeywords(TypedDict, total=False):
     """Fields of `CalibrationConfig`, each optional."""
 
     board: BoardConfig
-    model: Literal['PINHOLE', 'RADIAL', 'OPENCV', 'FULL_OPENCV', 'OPENCV_FISHEYE']
+    model: Literal["PINHOLE", "RADIAL", "OPENCV", "FULL_OPENCV", "OPENCV_FISHEYE"]
     refine_warp: bool
     outlier_factor: float
     max_view_factor: float
-    kind: Literal['chessboard', 'charuco', 'apriltag']
+    kind: Literal["chessboard", "charuco", "apriltag"]
     columns: int
     rows: int
     square: float

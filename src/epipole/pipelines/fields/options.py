@@ -26,7 +26,7 @@ class SplatKeywords(TypedDict, total=False):
     sh_degree: int
     ssim_weight: float
     antialiased: bool
-    start: Literal['points', 'dense', 'random']
+    start: Literal["points", "dense", "random"]
     start_from: str | Path | None
     exposure: bool
     refine_poses: bool
@@ -47,7 +47,7 @@ class NerfKeywords(TypedDict, total=False):
     view: bool
     port: int | None
     host: str
-    kind: Literal['grid', 'hash']
+    kind: Literal["grid", "hash"]
     seed: int
 
 
@@ -55,7 +55,7 @@ class RenderKeywords(TypedDict, total=False):
     """Fields of `RenderConfig`, each optional."""
 
     cameras: str | Path | None
-    path: Literal['auto', 'cameras', 'orbit']
+    path: Literal["auto", "cameras", "orbit"]
     frames: int
     rotation_deg: float
     width: int | None
@@ -64,7 +64,7 @@ class RenderKeywords(TypedDict, total=False):
     fps: float
     background: Background
     antialiased: bool | None
-    output: Literal['color', 'depth', 'normals', 'coverage']
+    output: Literal["color", "depth", "normals", "coverage"]
 
 
 class MeshKeywords(TypedDict, total=False):

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TypedDict
 
 
-
 class GeoreferenceKeywords(TypedDict, total=False):
     """Fields of `GeoreferenceConfig`, each optional."""
 

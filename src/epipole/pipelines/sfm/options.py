@@ -24,7 +24,7 @@ class ReconstructKeywords(TypedDict, total=False):
     pairs: str | Path | None
     database: str | Path | None
     learned: str | Path | None
-    learned_network: Literal['xfeat', 'aliked']
+    learned_network: Literal["xfeat", "aliked"]
     known_poses: str | Path | None
     known_poses_sigma_m: float
     known_poses_sigma_deg: float
@@ -40,7 +40,7 @@ class ReconstructKeywords(TypedDict, total=False):
     verification: RansacConfig
     mapper: MapperConfig
     anchors: AnchorOptions
-    kind: Literal['sift', 'orb']
+    kind: Literal["sift", "orb"]
     max_features: int
     max_size_px: int
     contrast_threshold: float
@@ -82,7 +82,7 @@ class ReconstructKeywords(TypedDict, total=False):
     min_long_tracks: int
     final_rounds: int
     converged_fraction: float
-    final_loss: Literal['trivial', 'huber', 'soft_l1', 'cauchy']
+    final_loss: Literal["trivial", "huber", "soft_l1", "cauchy"]
     loss_scale_px: float
     final_scale: float
     refine_focal: bool

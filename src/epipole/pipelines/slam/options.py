@@ -11,7 +11,7 @@ from epipole.config import AnchorOptions
 class SlamKeywords(TypedDict, total=False):
     """Fields of `SlamConfig`, each optional."""
 
-    sensor: Literal['auto', 'mono', 'stereo', 'rgbd', 'rig']
+    sensor: Literal["auto", "mono", "stereo", "rgbd", "rig"]
     topics: str | None
     start: int
     stride: int
@@ -19,8 +19,8 @@ class SlamKeywords(TypedDict, total=False):
     fps: float | None
     masks: str | Path | None
     realtime: bool
-    mapping: Literal['auto', 'inline', 'thread']
-    trajectory_format: Literal['tum', 'kitti', 'euroc']
+    mapping: Literal["auto", "inline", "thread"]
+    trajectory_format: Literal["tum", "kitti", "euroc"]
     record: str | Path | None
     mesh: bool
     map: str | Path | tuple[str | Path, ...]

@@ -71,8 +71,7 @@ class SlamState:
                 the first. Loop closures join the others to it.
             is_map_fixed: only localize in the known map, without changing it.
             imu: measurements in the frames' clock, which join the optimization, predict rotations, and carry the pose for a few
-                seconds without usable images; ignored with a known map, whose clock differs. Its mounting refers to the camera that
-                takes the images: of a pair that is rectified here to the left one, of a rig to the first one.
+                seconds without usable images; ignored with a known map. Mounted on the left camera of a pair, or in the rig's frame.
             mapping: "inline" maps a keyframe before `track` returns, and results do not depend on the machine. "thread" maps in a
                 thread, for a live camera or a robot: only frames of a lost camera wait for it. Then results depend on the machine's
                 speed, and the object cannot be copied.

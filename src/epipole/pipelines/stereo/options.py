@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Literal, TypedDict
 
 
-
 class StereoKeywords(TypedDict, total=False):
     """Fields of `StereoConfig`, each optional."""
 
     min_disparity_px: int
     max_disparity_px: int | None
-    search: Literal['full', 'coarse_to_fine']
-    method: Literal['sgm', 'block']
+    search: Literal["full", "coarse_to_fine"]
+    method: Literal["sgm", "block"]
     block_px: int
     paths: Literal[4, 8]
     window: tuple[int, int]
@@ -20,7 +19,7 @@ class StereoKeywords(TypedDict, total=False):
     small_penalty: int
     edge_penalty: float
     edge_fade: float
-    left_right: Literal['accurate', 'fast']
+    left_right: Literal["accurate", "fast"]
     max_left_right_px: float
     min_margin: float
     max_sigma_px: float | None

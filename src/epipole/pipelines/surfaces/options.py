@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Literal, TypedDict
 
 
-
 class SurfaceKeywords(TypedDict, total=False):
     """Fields of `SurfaceConfig`, each optional."""
 
-    until: Literal['depth', 'cloud', 'mesh', 'texture', 'survey']
+    until: Literal["depth", "cloud", "mesh", "texture", "survey"]
     max_size_px: int
     sources: int
     images: str | Path | None
@@ -20,7 +19,7 @@ class SurfaceKeywords(TypedDict, total=False):
     close: float
     faces: int | None
     texture_px: int
-    formats: tuple[Literal['glb', 'obj', 'ply', 'usdz'], ...]
+    formats: tuple[Literal["glb", "obj", "ply", "usdz"], ...]
     resolution_m: float | None
     crs: str | None
     crop: tuple[float, float, float, float] | None

@@ -34,11 +34,11 @@ class DepthFigures:
             DegenerateGeometryError: none has; the message has the most frequent reason.
         """
         if not self.density.any():
-            shares = self.reasons.mean(axis=0)
-            reason = DepthReason(int(np.argmax(shares)))
+            fractions = self.reasons.mean(axis=0)
+            reason = DepthReason(int(np.argmax(fractions)))
             words = reason.name.lower().replace("_", " ")
             raise DegenerateGeometryError(
-                f"no pixel has a depth, so there is no surface; the most frequent reason is: {words} ({100 * shares[reason]:.0f} % of the pixels)"
+                f"no pixel has a depth, so there is no surface; the most frequent reason is: {words} ({100 * fractions[reason]:.0f} % of the pixels)"
             )
 
 
