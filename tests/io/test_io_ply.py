@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from epipole.errors import FileFormatError, ShapeError, WorkspaceError
 from epipole.io import read_points_ply, write_points_ply, write_scene_ply
@@ -12,7 +13,6 @@ from io_models import small_model
 
 
 def test_trimesh_reads_what_we_write(tmp_path: Path) -> None:
-    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
     rng = np.random.default_rng(0)
     xyz, rgb = rng.normal(size=(20, 3)), rng.integers(0, 256, (20, 3)).astype(np.uint8)
     write_points_ply(tmp_path / "x.ply", xyz, rgb)

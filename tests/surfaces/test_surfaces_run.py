@@ -12,6 +12,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from benchmarks.tasks.surfaces import prepare_scene
 from scipy.spatial import cKDTree
 
@@ -65,6 +66,22 @@ def test_all_results_are_written_and_agree(done, scene):
     assert {"textured.obj", "textured.mtl", "report.html"} <= {path.name for path in done.out.iterdir()}
     assert "done" not in done.warnings and repr(done).startswith("SurfaceResult(")
     assert set(summary["views"]) == set(scene.names)
+
+
+@pytest.mark.parametrize("name", ["textured.glb", "textured.obj"])
+def test_another_program_reads_the_textured_mesh(done, name):
+    """trimesh has the same triangles, vertices in meters with y up (GLB), texture coordinates, and the texture."""
+    found = trimesh.load(done.out / name, force="mesh", process=False)
+    textured = read_glb(done.out / "textured.glb")
+    assert len(found.faces) == len(textured)
+    sides = np.linalg.norm(np.diff(found.triangles, axis=1), axis=2)
+    ours = np.linalg.norm(np.diff(textured.vertices_in_world[textured.faces], axis=1), axis=2)
+    np.testing.assert_allclose(np.sort(sides.ravel()), np.sort(ours.ravel()), atol=1e-5)
+    assert found.visual.uv.shape == (len(found.vertices), 2)
+    image = found.visual.material.baseColorTexture if name.endswith("glb") else found.visual.material.image
+    assert image.size == (1024, textured.textures[0].shape[0])
+    rgb = np.asarray(image.convert("RGB")).astype(float)
+    assert np.abs(rgb - textured.textures[0]).mean() < 3.0
 
 
 def test_holes_are_closed_and_the_mesh_simplified_on_request(done, scene, tmp_path):
