@@ -127,6 +127,22 @@ def test_a_worker_that_is_frozen_delays_nothing(
     assert time.monotonic() - start < 20
 
 
+def test_a_worker_that_is_frozen_at_the_start_is_not_waited_for(
+    client: Any, tmp_path: Path, expected: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster_dispatch, "SLOW_S", 0.5)
+    monkeypatch.setattr(cluster, "ANSWER_S", 1.0)
+    client.wait_for_workers(2)
+    victim, start = next(iter(client.run(os.getpid).values())), time.monotonic()
+    os.kill(victim, signal.SIGSTOP)
+    try:
+        run_units(tasks(tmp_path / "there"), stage="s", executor=joined(client))
+    finally:
+        os.kill(victim, signal.SIGCONT)
+    assert contents(tmp_path / "there") == expected
+    assert time.monotonic() - start < 20
+
+
 def test_paths_with_dots_stay_in_the_folder_of_the_worker(client: Any, tmp_path: Path) -> None:
     unit = tasks(tmp_path / "there", 1)[0]
     path = tmp_path / "not" / "there" / ".." / ".." / "inputs" / "0.txt"
@@ -170,7 +186,7 @@ def test_another_version_is_refused(client: Any, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(cluster, "__version__", "0.0.1")
     with pytest.raises(WorkspaceError, match=r"but this is epipole 0\.0\.1"):
         joined(client)
-    monkeypatch.setattr(client, "get_versions", lambda **_: {"workers": {"tcp://a:1": None}})
+    monkeypatch.setattr(cluster, "_versions_of_workers", lambda _: {"tcp://a:1": {"packages": {}}})
     with pytest.raises(WorkspaceError, match="has no epipole"):
         joined(client)
 

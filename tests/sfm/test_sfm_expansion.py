@@ -63,11 +63,13 @@ def test_distant_neighbors_are_matched_only_where_points_are_missing(rendered: P
 
 def test_the_method_of_pairing_fits_the_images() -> None:
     config, gps = PairingConfig(exhaustive_limit=3), np.zeros((4, 3))
+    gps[:, 0] = 46.0 + 1e-3 * np.arange(4)
     none = np.full((4, 3), np.nan)
     assert method_of(none[:3], config, is_video=False) == "exhaustive"
     assert method_of(none, config, is_video=True) == "sequential"
     assert method_of(gps, config, is_video=False) == "spatial"
     assert method_of(none, config, is_video=False) == "retrieval"
+    assert method_of(gps[[0, 0, 0, 0]], config, is_video=False) == "retrieval"  # one fix for all of them
     assert method_of(gps, PairingConfig(method="retrieval"), is_video=True) == "retrieval"
 
 

@@ -10,13 +10,14 @@ import pytest
 from photographs import FOCAL_35MM, neighboring_views, render_to
 
 from epipole import merge, reconstruct
-from epipole.errors import ConfigError, FileFormatError
+from epipole.errors import ConfigError, FileFormatError, WorkspaceError
 from epipole.geometry import Rigid3, Similarity3, align_points
 from epipole.io.colmap.model import read_colmap_model
 from epipole.io.images.photographs import write_jpeg_with_exif
 from epipole.pipelines.sfm.mappers.joining import _similarity
 from epipole.pipelines.sfm.matching import match_stage
 from epipole.pipelines.sfm.merge import _free_name, _notes_on_scale, _Part
+from epipole.runs import cluster
 
 VIEWS = neighboring_views(8)
 FIRST, SECOND = np.arange(5), np.arange(3, 8)
@@ -64,6 +65,17 @@ def test_the_merged_model_is_a_workspace(parts, tmp_path):
     assert {p.name for p in (result.out / "images").iterdir()} == {p.name for p in (parts / "all").iterdir()}
     again = merge([result.out, parts / "second"], tmp_path / "again")
     assert again.model.is_registered().sum() == 8
+
+
+def test_models_are_merged_on_a_cluster(parts, tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "FIRST_WORKER_S", 0.4)
+    with pytest.raises(WorkspaceError, match="no Dask scheduler answers"):
+        merge([parts / "first", parts / "second"], tmp_path / "none", cluster="tcp://127.0.0.1:1")
+    here = merge([parts / "first", parts / "second"], tmp_path / "here")
+    there = merge([parts / "first", parts / "second"], tmp_path / "there", cluster="local:1")
+    for name in ("cameras.bin", "images.bin", "points3D.bin"):
+        paths = (result.out / "sparse" / "0" / name for result in (here, there))
+        assert next(paths).read_bytes() == next(paths).read_bytes()
 
 
 def test_different_files_of_one_name_are_both_kept(parts, tmp_path):

@@ -133,6 +133,25 @@ def test_pairs_from_a_file(tmp_path: Path) -> None:
     assert read_pairs(path, ["a.jpg", "b.jpg", "c/d.jpg"]).tolist() == [[0, 1], [0, 2]]
 
 
+def test_names_with_spaces_in_a_list_of_pairs(tmp_path: Path) -> None:
+    path, names = tmp_path / "pairs.txt", ["a b.jpg", "c.jpg", "c.jpg a b.jpg", "d e.jpg"]
+    path.write_text("a b.jpg c.jpg\nd e.jpg\ta b.jpg\n")
+    assert read_pairs(path, names).tolist() == [[0, 1], [0, 3]]
+    path.write_text("c.jpg a b.jpg c.jpg\n")  # c.jpg + a b.jpg c.jpg is none: the first name is c.jpg a b.jpg
+    assert read_pairs(path, names).tolist() == [[1, 2]]
+
+
+def test_frame_2_comes_before_frame_10() -> None:
+    names = tuple(sorted(f"frame_{k}.png" for k in range(1, 13)))
+    images = images_of(list(range(12)))
+    options = PairingConfig(method="sequential", overlap=1, neighbors=1)
+    found = choose_pairs(images, positions([None] * 12), options, is_video=False, names=names).first
+    pairs = {(names[i], names[j]) for i, j in found.tolist()} | {
+        (names[j], names[i]) for i, j in found.tolist()
+    }
+    assert {(f"frame_{k}.png", f"frame_{k + 1}.png") for k in range(1, 12)} <= pairs
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

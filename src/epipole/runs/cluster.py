@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from time import monotonic, sleep
 from typing import Any, Protocol, runtime_checkable
 
@@ -12,6 +13,8 @@ from epipole._version import __version__
 from epipole.errors import ConfigError, MissingDependencyError, WorkspaceError
 
 WAIT_S = 0.2
+ANSWER_S = 10.0
+"""Time in which a worker must answer to be checked."""
 FIRST_WORKER_S = 60.0
 """How long to wait for the first worker; a queue of Slurm may take any time."""
 
@@ -117,15 +120,28 @@ def joined(client: Any, *, has_shared_folder: bool = True, has_patience: bool = 
     """
     connection = Connection(client, has_shared_folder=has_shared_folder, has_patience=has_patience)
     wait_for_workers(connection)
-    workers = client.get_versions(check=False, packages=["epipole"])["workers"]
-    for address, found in workers.items():
-        version = (found or {}).get("packages", {}).get("epipole")
+    for address, found in _versions_of_workers(client).items():
+        version = found.get("packages", {}).get("epipole")
         if version != __version__:
             has = "no epipole" if version is None else f"epipole {version}"
             raise WorkspaceError(
                 f"worker {address} has {has}, but this is epipole {__version__}: install the same version on every machine"
             )
     return connection
+
+
+def _versions_of_workers(client: Any) -> dict[str, dict[str, Any]]:
+    """Versions of the workers that answer soon: a silent one gets no work until it answers, and each chunk checks the version again."""
+    from distributed.versions import get_versions  # there is a client, so it is installed
+
+    ask = partial(client.submit, get_versions, ["epipole"], pure=False)
+    asked = {address: ask(workers=[address]) for address in client.scheduler_info(n_workers=-1)["workers"]}
+    end, found = monotonic() + ANSWER_S, dict[str, dict[str, Any]]()
+    while len(found) < len(asked) and monotonic() < end:
+        found |= {a: future.result() for a, future in asked.items() if a not in found and future.done()}
+        sleep(WAIT_S)
+    client.cancel([future for address, future in asked.items() if address not in found], force=True)
+    return found
 
 
 def wait_for_workers(connection: Connection) -> None:

@@ -128,13 +128,15 @@ def pairs_to_match(
         return ChosenPairs(np.array(kept, np.int32).reshape(-1, 2))
     if requested is not None:
         return ChosenPairs(requested)
-    descriptors = _Descriptors([u.path for u in features])
+    descriptors = StoredDescriptors([u.path for u in features])
     if earlier:
         keypoints, _ = keypoints_of(features)
         return ChosenPairs(
             further_pairs(descriptors, keypoints, images.names, earlier, config.pairing.neighbors)
         )
-    return choose_pairs(descriptors, images.lat_lon_alt, config.pairing, is_video=images.is_video)
+    return choose_pairs(
+        descriptors, images.lat_lon_alt, config.pairing, is_video=images.is_video, names=images.names
+    )
 
 
 def expansion_of(images: ImageSet, config: ReconstructConfig, *, is_given: bool) -> int:
@@ -149,8 +151,8 @@ def in_order(pairs: np.ndarray) -> list[tuple[int, int]]:
     return sorted({(int(min(pair)), int(max(pair))) for pair in pairs})
 
 
-class _Descriptors(Sequence[np.ndarray]):
-    """Descriptors that are read from disk on access, since exhaustive pairing needs none."""
+class StoredDescriptors(Sequence[np.ndarray]):
+    """Descriptors that are read from disk on access: those of thousands of images do not fit in memory, and exhaustive pairing needs none."""
 
     def __init__(self, paths: list[Path]) -> None:
         self._paths = paths
@@ -164,5 +166,5 @@ class _Descriptors(Sequence[np.ndarray]):
     def __getitem__(self, index: slice) -> Sequence[np.ndarray]: ...
     def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
         if isinstance(index, slice):
-            return _Descriptors(self._paths[index])
+            return StoredDescriptors(self._paths[index])
         return load(self._paths[index], FEATURES, "descriptors")["descriptors"]

@@ -40,6 +40,7 @@ UNKNOWN_ALTITUDE_SIGMA_M = 1e4
 VAGUE_UP_RAD = np.deg2rad(8.0)
 """Standard deviation of the up direction above which a warning is given."""
 NUM_NAMED = 3
+NO_POINT = "its matches belong to no point of the model"
 FEW_FEATURES = 30
 MOSTLY = 0.9
 """Fraction of a grown model's images that the earlier one had, from which it is adjusted in fewer rounds."""
@@ -322,15 +323,18 @@ def reasons_in_words(
     view_graph: ViewGraph,
     unused: ViewGraph,
     keypoints: Sequence[np.ndarray],
-    min_inliers: int,
+    config: MapperConfig,
 ) -> dict[str, str]:
     """Reasons why images are not registered; `unused` are the verified pairs that contradict others."""
+    min_inliers, is_full = config.resection_min_inliers, len(mapped.models) >= config.max_models
     registered = np.zeros(len(images), bool)
     for model in mapped.models:
         registered |= model.is_registered()
     out = dict(images.left_out)
     for image in np.flatnonzero(~registered):
         words = _reason(int(image), mapped, view_graph, unused, len(keypoints[int(image)]), min_inliers)
+        if is_full and words == NO_POINT:
+            words = f"mapping ended after {config.max_models} models (--mapper.max-models)"
         is_masked = images.mask_fingerprints[image] and len(keypoints[int(image)]) < 2 * min_inliers
         out[images.names[image]] = f"{words}, or its mask covers it" if is_masked else words
     return out
@@ -362,7 +366,7 @@ def _reason(
     if not mapped.models:
         return "no pair of images could start a model: too few matches, or too small a triangulation angle"
     if rejection is None or rejection.num_points_in_sight == 0:
-        return "its matches belong to no point of the model"
+        return NO_POINT
     if rejection.num_inliers == 0:
         return f"sees only {rejection.num_points_in_sight} points of the model; at least {min_inliers} are needed"
     return f"of {rejection.num_points_in_sight} visible points of the model, only {rejection.num_inliers} agree on a pose"

@@ -27,7 +27,7 @@ from epipole.pipelines.sfm.mappers.growth import Earlier
 from epipole.pipelines.sfm.matching.pairing import EarlierDatabase
 from epipole.pipelines.sfm.options import ReconstructKeywords
 from epipole.pipelines.sfm.pipeline import Solution, solve
-from epipole.pipelines.sfm.run import ReconstructionResult, check_inputs, finish_reconstruction
+from epipole.pipelines.sfm.run import ReconstructionResult, check_inputs, executor_of, finish_reconstruction
 from epipole.runs import Job, ProgressCallback, Run, content_digests, ignore_progress, open_run
 from epipole.scene import Reconstruction
 
@@ -81,7 +81,7 @@ def merge(
         inputs=tuple(folders),
         settings={"seed": config.seed, "config": asdict(config)},
         threads=config.threads,
-        executor=config.executor,
+        executor=executor_of(None, config),
         progress=progress,
         opencv_alone=True,
         has_log=True,

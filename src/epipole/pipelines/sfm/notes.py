@@ -23,6 +23,8 @@ KINDS_OF_FOLDER = frozenset(
 )
 """Folder names that do not describe the content."""
 CAMERAS_SHOWN = 3
+LEAST_LEFT = 3
+"""Images that match each other and are in no model, from which there is a warning."""
 
 
 def title_of(source: Path) -> str:
@@ -61,6 +63,7 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
                 f"model {number} agrees with only {100 * agreement:.0f} % of its matches: "
                 "parts of it are probably wrong (a wrong focal length, or similar-looking structures)"
             )
+    out += _unmapped_warnings(solution, config)
     out += _look_alike_warnings(solution)
     for number, model in enumerate(mapped.models):
         used = np.unique(model.camera_of_image[model.is_registered()])
@@ -72,6 +75,22 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
     )
     out += gps_notes(images, mapped, config)
     return [*out, *_shape_warnings(solution), *_wrong_focals(solution)]
+
+
+def _unmapped_warnings(solution: Solution, config: MapperConfig) -> list[str]:
+    """A warning if mapping ended at the largest number of models, although other images match each other."""
+    models, graph = solution.mapped.models, solution.view_graph
+    if len(models) < config.max_models:
+        return []
+    is_left = ~np.any([model.is_registered() for model in models], axis=0)
+    matches = is_left[graph.image1] & is_left[graph.image2]
+    count = len(np.unique([graph.image1[matches], graph.image2[matches]]))
+    if count < LEAST_LEFT:
+        return []
+    return [
+        f"mapping ended after {len(models)} models, but {count} of the other images match each other: raise --mapper.max-models to map"
+        " them, too"
+    ]
 
 
 def _look_alike_warnings(solution: Solution) -> list[str]:

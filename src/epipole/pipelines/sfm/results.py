@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 
@@ -15,14 +19,14 @@ from epipole.io.images.photographs import copy_or_rotate
 from epipole.io.json_files import json_text
 from epipole.io.meshes.ply import write_scene_ply
 from epipole.io.workspaces import DATABASE
-from epipole.pipelines.sfm.inputs import UNITS
+from epipole.pipelines.sfm.inputs import UNITS, StoredDescriptors
 from epipole.pipelines.sfm.mapping_stage import no_model_reason
 from epipole.pipelines.sfm.matching.match_stage import load_putative
-from epipole.pipelines.sfm.matching.unit_tables import FEATURES
 from epipole.pipelines.sfm.pipeline import Solution
-from epipole.runs import Run, load
+from epipole.runs import Run
 from epipole.scene import Frames, Images, Rigs, unregistered
 
+SIFT_COLUMNS = 128
 COPIES = f"{UNITS}/copied_pictures.json"
 """Record in the output folder of the image digest that each copy was made from."""
 
@@ -58,11 +62,19 @@ def _write_images(solution: Solution, run: Run) -> None:
     record.unlink(missing_ok=True)  # an interrupted run must not leave an outdated record
     with run.folder.replacing("images", [f"images/{name}" for name in copied]):
         run.report("write", 0, len(copied))
-        for n, (name, fingerprint) in enumerate(copied.items(), 1):
-            target = run.root / "images" / name
-            if not target.is_file() or before.get(name) != fingerprint:
-                copy_or_rotate(images.folder / name, target)
-            run.report("write", n, len(copied))
+        with ThreadPoolExecutor(run.job.threads or os.cpu_count()) as pool:  # rotated ones are encoded again
+
+            def write(name: str) -> None:
+                target = run.root / "images" / name
+                if not target.is_file() or before.get(name) != copied[name]:
+                    copy_or_rotate(images.folder / name, target)
+
+            try:
+                for n, _ in enumerate(pool.map(write, copied), 1):
+                    run.report("write", n, len(copied))
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
     with atomic_write(record) as aside:
         aside.write_text(json_text(copied, indent=1), encoding="utf-8")
 
@@ -83,17 +95,36 @@ def database_contents(solution: Solution) -> DatabaseContents:
     offsets = np.concatenate([[0], np.cumsum([len(k) for k in keypoints])]).astype(np.int64)
     stacked = np.concatenate(keypoints).reshape(-1, 2)
     rows = np.arange(n, dtype=np.int32)
-    stored = [load(unit.path, FEATURES, "descriptors")["descriptors"] for unit in solution.features]
     return DatabaseContents(
         cameras,
         Rigs.of_single_cameras(len(cameras)),
         Frames(images.camera_of_image, unregistered(n), images.timestamps_s),
         Images(images.names, rows, images.camera_of_image, offsets, stacked),
-        [descriptors if descriptors.shape[1] == 128 else None for descriptors in stored],
+        _SiftDescriptors([unit.path for unit in solution.features]),
         load_putative(solution.matches, [len(k) for k in keypoints]),
         solution.view_graph,
         np.where(_lacks_altitude(images.lat_lon_alt), 0.0, images.lat_lon_alt),
     )
+
+
+class _SiftDescriptors(Sequence[np.ndarray | None]):
+    """Descriptors of COLMAP's size, read one image at a time; None for others."""
+
+    def __init__(self, paths: list[Path]) -> None:
+        self._stored = StoredDescriptors(paths)
+
+    def __len__(self) -> int:
+        return len(self._stored)
+
+    @overload
+    def __getitem__(self, index: int) -> np.ndarray | None: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[np.ndarray | None]: ...
+    def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray | None] | None:
+        if isinstance(index, slice):
+            return [self[k] for k in range(*index.indices(len(self)))]
+        descriptors = self._stored[index]
+        return descriptors if descriptors.shape[1] == SIFT_COLUMNS else None
 
 
 def _lacks_altitude(lat_lon_alt: np.ndarray) -> np.ndarray:

@@ -118,7 +118,7 @@ def reconstruct(
         inputs=(source,),
         settings={"seed": config.seed, "config": asdict(config)},
         threads=config.threads,
-        executor=_executor(executor, config),
+        executor=executor_of(executor, config),
         progress=progress,
         opencv_alone=True,
         has_log=True,
@@ -206,7 +206,7 @@ def _with_rigs(
     return replace(solution, mapped=mapped), found[0].scale, found[0].geometry
 
 
-def _executor(given: PassedExecutor | None, config: ReconstructConfig) -> ExecutorChoice:
+def executor_of(given: PassedExecutor | None, config: ReconstructConfig) -> ExecutorChoice:
     """The executor that is passed, else the cluster of the options, else their executor."""
     if isinstance(given, ClusterClient):
         return joined(given, has_shared_folder=config.shared_folder)
@@ -259,7 +259,7 @@ def _reasons(solution: Solution, config: ReconstructConfig) -> dict[str, str]:
         solution.view_graph,
         solution.contradicting.view_graph,
         solution.keypoints,
-        config.mapper.resection_min_inliers,
+        config.mapper,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,10 +16,13 @@ from epipole.features import describe_images, most_similar, train_vocabulary
 from epipole.io.colmap.database import read_database, read_matched_pairs
 from epipole.io.files import file_text
 from epipole.pipelines.sfm.config import PairingConfig
+from epipole.pipelines.sfm.gps.alignment import is_wide_enough
 from epipole.scene.georeference import gps_to_enu
 
 SAME_PIXEL = 0.01
 """Difference between pixels that are the same, but stored with different precision."""
+MOSTLY, LEAST_EXTENT_M = 0.9, 20.0
+"""Fraction of images with GPS, and extent of their positions, above which near images are chosen by GPS."""
 ROWS_AT_ONCE = 1024
 """Images that are compared with all others at once, which limits the memory."""
 
@@ -47,8 +51,16 @@ def choose_pairs(
     config: PairingConfig,
     *,
     is_video: bool,
+    names: Sequence[str] = (),
 ) -> ChosenPairs:
     """Pairs by the method of the options, or by the one that fits the images.
+
+    Args:
+        descriptors: of each image.
+        lat_lon_alt: GPS of each image; NaN for none.
+        config: options.
+        is_video: whether they are frames of a video, in order.
+        names: of the images, whose order is that of the sequence; numbers in them count as such. Empty: the images are in order.
 
     Raises:
         ConfigError: spatial pairs are requested, but fewer than two images have GPS.
@@ -59,7 +71,10 @@ def choose_pairs(
         return ChosenPairs(np.stack(np.triu_indices(n, 1), axis=1).astype(np.int32))
     if method == "sequential":
         reach = min(config.overlap, n - 1)
-        pairs = [(i, i + step) for i in range(n) for step in range(1, reach + 1) if i + step < n]
+        order = sorted(range(n), key=lambda i: _natural(names[i])) if names else list(range(n))
+        pairs = [
+            (order[i], order[i + step]) for i in range(n) for step in range(1, reach + 1) if i + step < n
+        ]
         return ChosenPairs(
             sorted_pairs([*pairs, *_pairs_of(_similar_images(descriptors, min(config.neighbors, 10)))])
         )
@@ -70,6 +85,11 @@ def choose_pairs(
     near = _in_two_rounds(_spatial(lat_lon_alt, has_gps, config.neighbors), config.first_neighbors)
     similar = _pairs_of(_similar_images(descriptors, 5))
     return replace(near, first=sorted_pairs([*map(tuple, near.first.tolist()), *similar]))
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Key of the order in which frame_2 comes before frame_10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def _pairs_of(neighbors: Mapping[int, Sequence[int]]) -> list[tuple[int, int]]:
@@ -166,7 +186,11 @@ def method_of(
         return "sequential"
     if len(lat_lon_alt) <= config.exhaustive_limit:
         return "exhaustive"
-    return "spatial" if np.isfinite(lat_lon_alt[:, :2]).all(axis=1).mean() > 0.9 else "retrieval"
+    has_gps = np.isfinite(lat_lon_alt[:, :2]).all(axis=1)
+    # Positions that are nearly the same, as indoors, do not say which images are near each other.
+    if has_gps.mean() > MOSTLY and is_wide_enough(gps_to_enu(lat_lon_alt[has_gps]), LEAST_EXTENT_M):
+        return "spatial"
+    return "retrieval"
 
 
 def _similar_images(descriptors: Sequence[np.ndarray], count: int) -> dict[int, list[int]]:
@@ -195,6 +219,8 @@ def sorted_pairs(pairs: Sequence[tuple[int, int]]) -> Int32[np.ndarray, "p 2"]:
 def read_pairs(path: Path, names: Sequence[str]) -> Int32[np.ndarray, "p 2"]:
     """Read pairs from a text file with two names per line; blank lines and lines that start with # are skipped.
 
+    Names may have spaces, if only one division of the line gives two images.
+
     Raises:
         FileFormatError: the file cannot be read, a line does not have two names, or an image is unknown.
     """
@@ -208,6 +234,8 @@ def read_pairs(path: Path, names: Sequence[str]) -> Int32[np.ndarray, "p 2"]:
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
+        if len(words) > 2:
+            words = _two_names(line, row) or words
         if len(words) != 2:
             raise FileFormatError(path, f"line {number}: expected two image names, got {len(words)}")
         missing = [w for w in words if w not in row]
@@ -215,3 +243,10 @@ def read_pairs(path: Path, names: Sequence[str]) -> Int32[np.ndarray, "p 2"]:
             raise FileFormatError(path, f"line {number}: image {missing[0]!r} does not exist or is unusable")
         pairs.append((row[words[0]], row[words[1]]))
     return sorted_pairs(pairs)
+
+
+def _two_names(line: str, row: Mapping[str, int]) -> list[str]:
+    """The two image names of a line, some of which have spaces; empty if no or several divisions of the line give two images."""
+    divided = {(line[:k].strip(), line[k:].strip()) for k in range(1, len(line)) if line[k].isspace()}
+    named = [one for one in divided if one[0] in row and one[1] in row]
+    return list(named[0]) if len(named) == 1 else []

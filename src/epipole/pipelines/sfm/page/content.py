@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,6 +25,8 @@ from epipole.runs import Run, load
 from epipole.scene import Reconstruction, ViewGraph
 
 MAX_INLIERS_SHOWN = 400
+MAX_IMAGES_SHOWN = 400
+"""Images with a thumbnail, of 20 to 70 kB each: the page stays below 30 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,6 +155,8 @@ def _of_images(
     rows = list[ImageRow]()
     thumbnails, inliers = dict[str, bytes](), dict[str, np.ndarray]()
     per_model = [(_observations_per_image(m)) for m in models]
+    keypoints_of = [_used_keypoints(m) for m in models]
+    pictured = _pictured(images.names, component >= 0)
     for i, name in enumerate(images.names):
         shown = max(int(component[i]), 0)
         counts, errors = per_model[shown]
@@ -168,13 +172,32 @@ def _of_images(
                 "" if registered else reasons.get(name, ""),
             )
         )
+        if name not in pictured:
+            continue
         thumbnails[name] = load(solution.features[i].path, FEATURES, "thumbnail")["thumbnail"].tobytes()
         camera = model.cameras[int(model.camera_of_image[i])]
-        own = models[shown].tracks.keypoint[models[shown].tracks.image == i]
+        own = keypoints_of[shown][i]
         pixels = model.images.keypoints_of(i)[np.sort(own)[:: max(1, len(own) // MAX_INLIERS_SHOWN)]]
         inliers[name] = (pixels + 0.5) / [camera.width, camera.height]
     rows += [ImageRow(n, False, -1, 0, 0, float("nan"), why) for n, why in images.left_out.items()]
     return rows, thumbnails, inliers
+
+
+def _used_keypoints(model: Reconstruction) -> list[np.ndarray]:
+    """Keypoints of each image that see a point."""
+    order = np.argsort(model.tracks.image, kind="stable")
+    bounds = np.searchsorted(model.tracks.image[order], np.arange(1, len(model.images)))
+    return np.split(model.tracks.keypoint[order], bounds)
+
+
+def _pictured(names: Sequence[str], is_registered: np.ndarray) -> set[str]:
+    """Images with a thumbnail: all of them, or of many those that are not registered first, and some of the others."""
+    order = np.concatenate([np.flatnonzero(~is_registered), np.flatnonzero(is_registered)])
+    others = order[MAX_IMAGES_SHOWN // 2 :]
+    if len(order) > MAX_IMAGES_SHOWN:
+        step = -(-len(others) // (MAX_IMAGES_SHOWN - MAX_IMAGES_SHOWN // 2))
+        order = np.concatenate([order[: MAX_IMAGES_SHOWN // 2], others[::step]])
+    return {names[i] for i in order}
 
 
 def _contradicting(solution: Solution) -> list[ContradictingPair]:
