@@ -14,16 +14,17 @@ from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.inertial import ImuLog, ImuNoise, MountedImu, align_path_to_imu
 from epipole.pipelines.slam import run
-from epipole.pipelines.slam.frames import SlamCamera, TrackingState, rectification_of
+from epipole.pipelines.slam.frames import Frame, SlamCamera, TrackingState, rectification_of
 from epipole.pipelines.slam.map.imu import InertialConstraints
 from epipole.pipelines.slam.map.imu_clock import CameraImu
 from epipole.pipelines.slam.map.imu_readings import LARGEST_MISFIT, better_reading
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.output.ros_record import open_recording
 from epipole.pipelines.slam.slam import Slam
-from epipole.scene import StereoRig
+from epipole.scene import CameraRig, StereoRig
 from epipole.synthetic.inertial import imu_along
 from ros_messages import messages_of
+from whole import IS_WHOLE
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
 
@@ -165,6 +166,29 @@ def test_gravity_is_that_of_the_ride(ride, with_imu):
     found = system.gravity_in_world
     cosine = found @ gravity_in_camera(ride) / 9.81 / np.linalg.norm(found)
     assert np.degrees(np.arccos(min(float(cosine), 1.0))) < 0.3
+
+
+@pytest.mark.parametrize("kind", IS_WHOLE * ["stereo", "rig"])
+def test_it_carries_a_pair_and_a_rig_too(imu, kind):
+    ride = rendered("loop_room", 2 * (DARK[-1] + 8), 2, with_right=True)
+    pair, frames = ride.sensor("stereo"), ride.frames("stereo")
+    for n in DARK:
+        black = np.full_like(frames[n].gray, 2)
+        frames[n] = replace(frames[n], gray=black, right_gray=black)
+    sensor = pair
+    if kind == "rig":
+        poses = Rigid3(np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 0.0], [-pair.baseline, 0.0, 0.0]]))
+        rig = CameraRig((pair.camera, pair.camera), poses)
+        sensor = SlamCamera.of_cameras(rig)
+        frames = [Frame.from_rig(f.timestamp_s, [f.gray, f.right_gray], rig) for f in frames]
+    system = Slam(sensor, imu=imu)
+    answers = [system.track(frame) for frame in frames]
+    assert {answers[n].state for n in DARK} == {TrackingState.INERTIAL}
+    assert {answer.state for answer in answers[DARK[-1] + 4 :]} == {TrackingState.TRACKING}
+    last = answers[DARK[-1]]
+    error = np.linalg.norm(last.world_from_body.translation - ride.truth().translation[DARK[-1]])
+    assert error < 3.0 * np.sqrt(np.trace(last.covariance[:3, :3])) < 0.05
+    assert len(system.maps) == 1
 
 
 def test_the_map_of_a_recording_is_level_once_gravity_is_known(ride, imu, tmp_path):
