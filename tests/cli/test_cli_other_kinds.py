@@ -21,7 +21,7 @@ from epipole.io.contents_in_words import results_of, what_it_is
 from epipole.io.gaussians.ply import write_gaussian_ply
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.sfm.gps.evidence import GpsEvidence
-from epipole.pipelines.sfm.mapping_stage import gps_notes
+from epipole.pipelines.sfm.gps.gps_notes import gps_notes
 from epipole.pipelines.slam.config import CameraOptions
 from epipole.scene.gaussian_cloud import GaussianCloud
 

@@ -12,6 +12,7 @@ from epipole.geometry import Rigid3
 from epipole.pipelines.sfm import part_stage
 from epipole.pipelines.sfm.config import MapperConfig, ReconstructConfig
 from epipole.pipelines.sfm.mappers import divided as module
+from epipole.pipelines.sfm.mappers import growth
 from epipole.pipelines.sfm.mappers.divided import MappedPart, divided, map_divided, map_part
 from epipole.pipelines.sfm.part_stage import load_part
 from epipole.runs import Progress
@@ -54,7 +55,7 @@ def test_parts_overlap_and_number_their_own_images(long_ring, long_graph):
 def test_exact_parts_become_the_exact_model(long_ring, long_graph):
     mapper = mapper_of(long_ring, long_graph, IN_PARTS)
     assert map_divided(mapper, np.ones(30, bool))
-    assert mapper.model.registered.all()
+    assert mapper.model.registered.all() and not mapper.notes
     off, turned = errors_of(mapper, long_ring)
     assert off.max() < 1e-6 and turned.max() < 1e-6
 
@@ -84,12 +85,22 @@ def test_images_of_a_wrong_part_are_registered_one_by_one(long_ring, long_graph)
     assert off.max() < 1e-6
 
 
+def test_parts_that_cannot_be_joined_are_said(long_ring, long_graph, monkeypatch):
+    monkeypatch.setattr(growth, "join_models", lambda _model, parts, _config: dict(parts[0]))
+    mapper = mapper_of(long_ring, long_graph, IN_PARTS)
+    assert map_divided(mapper, np.ones(30, bool)) and mapper.model.registered.all()
+    (note,) = mapper.notes
+    assert "parts have too few points in common" in note and "registered one by one" in note
+
+
 def test_parts_without_a_model_are_left_out(long_ring, long_graph):
     def nothing(parts):
         empty = Rigid3(np.zeros((0, 3, 3)), np.zeros((0, 3)))
         return [MappedPart(np.zeros(0, np.int64), empty, part.cameras.params) for part in parts]
 
-    assert not map_divided(mapper_of(long_ring, long_graph, IN_PARTS), np.ones(30, bool), nothing)
+    mapper = mapper_of(long_ring, long_graph, IN_PARTS)
+    assert not map_divided(mapper, np.ones(30, bool), nothing)
+    assert "gave no model" in mapper.notes[0] and "mapped together" in mapper.notes[1]
 
 
 @pytest.mark.parametrize("executor", ["inline", "processes"])

@@ -128,7 +128,7 @@ def pairs_to_match(
         return ChosenPairs(np.array(kept, np.int32).reshape(-1, 2))
     if requested is not None:
         return ChosenPairs(requested)
-    descriptors = StoredDescriptors([u.path for u in features])
+    descriptors = descriptors_on_access([u.path for u in features])
     if earlier:
         keypoints, _ = keypoints_of(features)
         return ChosenPairs(
@@ -151,9 +151,12 @@ def in_order(pairs: np.ndarray) -> list[tuple[int, int]]:
     return sorted({(int(min(pair)), int(max(pair))) for pair in pairs})
 
 
-class StoredDescriptors(Sequence[np.ndarray]):
-    """Descriptors that are read from disk on access: those of thousands of images do not fit in memory, and exhaustive pairing needs none."""
+def descriptors_on_access(paths: Sequence[Path]) -> Sequence[np.ndarray]:
+    """Descriptors that are read from the files of features on access: exhaustive pairing needs none, and those of thousands of images do not fit in memory."""
+    return _Descriptors(list(paths))
 
+
+class _Descriptors(Sequence[np.ndarray]):
     def __init__(self, paths: list[Path]) -> None:
         self._paths = paths
 
@@ -166,5 +169,5 @@ class StoredDescriptors(Sequence[np.ndarray]):
     def __getitem__(self, index: slice) -> Sequence[np.ndarray]: ...
     def __getitem__(self, index: int | slice) -> np.ndarray | Sequence[np.ndarray]:
         if isinstance(index, slice):
-            return StoredDescriptors(self._paths[index])
+            return _Descriptors(self._paths[index])
         return load(self._paths[index], FEATURES, "descriptors")["descriptors"]

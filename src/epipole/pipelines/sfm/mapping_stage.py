@@ -12,14 +12,10 @@ from epipole.geometry import Rigid3
 from epipole.mapping import ModelBuilder, PositionPriors, connect_matches
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.gps.alignment import (
-    MIN_POSITIONS,
     GpsAlignment,
     align_to_gps,
-    evidence_of,
     gps_distances,
-    is_wide_enough,
 )
-from epipole.pipelines.sfm.gps.evidence import meters_in_words
 from epipole.pipelines.sfm.known_poses import PoseFit, fit_known_poses
 from epipole.pipelines.sfm.mappers.choice import Method, map_with
 from epipole.pipelines.sfm.mappers.completion import FINAL_ROUNDS, GROWN_ROUNDS, ROUNDS, complete_model
@@ -33,13 +29,11 @@ from epipole.robust import PairKind
 from epipole.runs import Progress, ProgressCallback
 from epipole.scale import MetricScale
 from epipole.scene import Georeference, Reconstruction, ViewGraph
-from epipole.scene.georeference import gps_to_enu
 
 GPS_OUTLIER_SIGMAS = 5.0
 UNKNOWN_ALTITUDE_SIGMA_M = 1e4
 VAGUE_UP_RAD = np.deg2rad(8.0)
 """Standard deviation of the up direction above which a warning is given."""
-NUM_NAMED = 3
 NO_POINT = "its matches belong to no point of the model"
 FEW_FEATURES = 30
 MOSTLY = 0.9
@@ -73,6 +67,8 @@ class Mapped:
     """Mapper that each model comes from."""
     pose_fits: tuple[PoseFit | None, ...] = ()
     """How the known poses fit each model; None if there are none, or if they do not."""
+    notes: tuple[str, ...] = ()
+    """What was remarkable about parts that were mapped separately."""
     scale: MetricScale | None = None
     """Scale of the largest model if it is metric; None if it is up to scale."""
 
@@ -99,7 +95,7 @@ def map_images(
     components = connect_matches(view_graph, starts)
     remaining = np.ones(len(images), bool)
     found: list[tuple[Reconstruction, _Located, float, Method]] = []
-    rejections: dict[int, Rejection] = {}
+    rejections, notes = dict[int, Rejection](), list[str]()
     while remaining.sum() >= 2 and len(found) < config.max_models:
         builder = ModelBuilder(images.cameras, images.camera_of_image, keypoints, components)
         mapper = IncrementalMapper(builder, view_graph, config, is_last=features is None)
@@ -120,6 +116,7 @@ def map_images(
         located = _locate_by_poses(mapper, images, config, _adjusting(progress)) or _locate(
             mapper, images, config, before, _adjusting(progress)
         )
+        notes += mapper.notes
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
         if builder.registered.sum() < 2 or len(np.unique(builder.row_point[builder.row_point >= 0])) < 3:
             break
@@ -131,7 +128,7 @@ def map_images(
     found.sort(key=lambda m: (-int(m[0].is_registered().sum()), -len(m[0].points)))
     models, locations, agreements, methods = zip(*found) if found else ((), (), (), ())
     gps, poses = tuple(one.gps for one in locations), tuple(one.fit for one in locations)
-    return Mapped(tuple(models), rejections, gps, tuple(agreements), tuple(methods), poses)
+    return Mapped(tuple(models), rejections, gps, tuple(agreements), tuple(methods), poses, tuple(notes))
 
 
 def _is_mostly(earlier: Sequence[Reconstruction], builder: ModelBuilder) -> bool:
@@ -252,69 +249,6 @@ def _adjust_again(mapper: IncrementalMapper, adjusting: Callable[[int, int], Non
     adjusting(2, 3)
     mapper.finish()
     adjusting(3, 3)
-
-
-def gps_notes(images: ImageSet, mapped: Mapped, config: MapperConfig) -> list[str]:
-    """Notes on GPS: why it did not make the largest model metric, or which positions contradict it."""
-    has_gps = np.isfinite(images.lat_lon_alt[:, :2]).all(axis=1)
-    is_posed = bool(mapped.pose_fits) and mapped.pose_fits[0] is not None
-    if not (config.use_gps and mapped.models and has_gps.any()):
-        return []
-    if is_posed:
-        return ["GPS is not used: the known poses determine the coordinates"]
-    model, gps = mapped.models[0], mapped.gps[0]
-    registered = model.is_registered()
-    if gps is not None:
-        return _notes_on_positions(images, gps, config)
-    unknown = "the scale is unknown" if mapped.scale is None else "GPS is not used"
-    fixes = gps_to_enu(images.lat_lon_alt[has_gps & registered])
-    if len(fixes) < MIN_POSITIONS:
-        verb = "carries" if len(fixes) == 1 else "carry"
-        counts = f"{len(fixes) or 'none'} of the model's images {verb} GPS"
-        return [f"{unknown}: {counts}, but at least {MIN_POSITIONS} are needed for meters"]
-    reach_m = GPS_OUTLIER_SIGMAS * config.gps_sigma_m
-    if not is_wide_enough(fixes, reach_m):
-        extent_m = float(np.linalg.norm(np.ptp(fixes[:, :2], axis=0)))
-        return [
-            f"{unknown}: the GPS positions lie within {meters_in_words(extent_m)}, "
-            f"but may be off by {meters_in_words(reach_m)}"
-        ]
-    found = evidence_of(
-        model.camera_centers_in_world(),
-        up_directions(model.cams_from_world()[registered], images.up_in_cams[registered]),
-        gps_to_enu(images.lat_lon_alt),
-        config.seed,
-    )
-    return [f"{unknown}: the GPS positions do not fit the model: {found.in_words()}"]
-
-
-def _notes_on_positions(images: ImageSet, gps: GpsAlignment, config: MapperConfig) -> list[str]:
-    """Images that are far from their GPS position, and a warning if the up direction is assumed."""
-    out = []
-    limit_m = max(GPS_OUTLIER_SIGMAS * config.gps_sigma_m, GPS_OUTLIER_SIGMAS * gps.median_m)
-    far = np.flatnonzero(gps.residuals_m > limit_m)
-    if len(far):
-        far = far[np.argsort(-gps.residuals_m[far])]
-        named = ", ".join(
-            f"{images.names[i]} by {_distance_in_words(gps.residuals_m[i])}" for i in far[:NUM_NAMED]
-        )
-        more = f" and {len(far) - NUM_NAMED} more" if len(far) > NUM_NAMED else ""
-        out.append(f"GPS positions that contradict the model are not used: {named}{more}")
-    if not np.isfinite(images.lat_lon_alt[:, 2]).any():
-        out.append(
-            "the GPS positions have no altitude: heights are relative to an origin at 0 m, not above the ellipsoid or the sea (control"
-            " points give them: epipole georeference --gcp)"
-        )
-    if gps.up_sigma_rad > VAGUE_UP_RAD:
-        out.append(
-            "the GPS positions lie nearly on a line and do not determine the up direction, "
-            "which is assumed from the orientation of the cameras"
-        )
-    return out
-
-
-def _distance_in_words(distance_m: float) -> str:
-    return f"{distance_m / 1000.0:.0f} km" if distance_m >= 10_000.0 else meters_in_words(distance_m)
 
 
 def reasons_in_words(

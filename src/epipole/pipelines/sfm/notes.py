@@ -13,8 +13,8 @@ from epipole.io.images.video import is_video
 from epipole.mapping.focal_accuracy import FocalAccuracy
 from epipole.pipelines.sfm.anchored import UP_TO_SCALE
 from epipole.pipelines.sfm.config import MapperConfig
+from epipole.pipelines.sfm.gps.gps_notes import gps_notes
 from epipole.pipelines.sfm.known_poses import notes_on_poses
-from epipole.pipelines.sfm.mapping_stage import gps_notes
 from epipole.pipelines.sfm.pipeline import FOCAL_CORRECTION, Solution
 
 KINDS_OF_FOLDER = frozenset(
@@ -63,7 +63,7 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
                 f"model {number} agrees with only {100 * agreement:.0f} % of its matches: "
                 "parts of it are probably wrong (a wrong focal length, or similar-looking structures)"
             )
-    out += _unmapped_warnings(solution, config)
+    out += [*mapped.notes, *_unmapped_warnings(solution, config)]
     out += _look_alike_warnings(solution)
     for number, model in enumerate(mapped.models):
         used = np.unique(model.camera_of_image[model.is_registered()])

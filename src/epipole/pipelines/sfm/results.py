@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import overload
 
 import numpy as np
 
+from epipole._parallel import map_chunks
 from epipole.errors import FileFormatError, NoModelError
 from epipole.io.atomic import atomic_write
 from epipole.io.colmap.database import DatabaseContents, write_database
@@ -19,7 +19,7 @@ from epipole.io.images.photographs import copy_or_rotate
 from epipole.io.json_files import json_text
 from epipole.io.meshes.ply import write_scene_ply
 from epipole.io.workspaces import DATABASE
-from epipole.pipelines.sfm.inputs import UNITS, StoredDescriptors
+from epipole.pipelines.sfm.inputs import UNITS, descriptors_on_access
 from epipole.pipelines.sfm.mapping_stage import no_model_reason
 from epipole.pipelines.sfm.matching.match_stage import load_putative
 from epipole.pipelines.sfm.pipeline import Solution
@@ -27,6 +27,7 @@ from epipole.runs import Run
 from epipole.scene import Frames, Images, Rigs, unregistered
 
 SIFT_COLUMNS = 128
+COPIED_AT_ONCE = 16
 COPIES = f"{UNITS}/copied_pictures.json"
 """Record in the output folder of the image digest that each copy was made from."""
 
@@ -62,21 +63,29 @@ def _write_images(solution: Solution, run: Run) -> None:
     record.unlink(missing_ok=True)  # an interrupted run must not leave an outdated record
     with run.folder.replacing("images", [f"images/{name}" for name in copied]):
         run.report("write", 0, len(copied))
-        with ThreadPoolExecutor(run.job.threads or os.cpu_count()) as pool:  # rotated ones are encoded again
-
-            def write(name: str) -> None:
-                target = run.root / "images" / name
-                if not target.is_file() or before.get(name) != copied[name]:
-                    copy_or_rotate(images.folder / name, target)
-
-            try:
-                for n, _ in enumerate(pool.map(write, copied), 1):
-                    run.report("write", n, len(copied))
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
+        stale = [
+            name
+            for name in copied
+            if not (run.root / "images" / name).is_file() or before.get(name) != copied[name]
+        ]
+        done = len(copied) - len(stale)
+        for start in range(0, len(stale), COPIED_AT_ONCE):  # rotated ones are encoded again, in parallel
+            names = stale[start : start + COPIED_AT_ONCE]
+            map_chunks(
+                partial(_copy_images, images.folder, run.root / "images", names), len(names), len(names)
+            )
+            done += len(names)
+            run.report("write", done, len(copied))
+        run.report("write", len(copied), len(copied))
     with atomic_write(record) as aside:
         aside.write_text(json_text(copied, indent=1), encoding="utf-8")
+
+
+def _copy_images(
+    source: Path, target: Path, names: Sequence[str], start: int, stop: int, _chunk: int
+) -> None:
+    for name in names[start:stop]:
+        copy_or_rotate(source / name, target / name)
 
 
 def _read_record(path: Path) -> dict[str, str]:
@@ -111,7 +120,7 @@ class _SiftDescriptors(Sequence[np.ndarray | None]):
     """Descriptors of COLMAP's size, read one image at a time; None for others."""
 
     def __init__(self, paths: list[Path]) -> None:
-        self._stored = StoredDescriptors(paths)
+        self._stored = descriptors_on_access(paths)
 
     def __len__(self) -> int:
         return len(self._stored)

@@ -72,7 +72,20 @@ def map_divided(
     found = map_parts(parts) if map_parts is not None else [map_part(part, mapper.config) for part in parts]
     starts = [_start_of(one, mapper.model) for one in found if len(one.images) >= LEAST_IMAGES]
     starts.sort(key=lambda start: -len(start.cams_from_world))
-    return bool(starts) and grow_model(mapper, starts, usable, progress)
+    if len(starts) < len(found):
+        mapper.notes.append(f"{len(found) - len(starts)} of {len(found)} parts of the images gave no model")
+    if starts and grow_model(mapper, starts, usable, progress):
+        apart = [count for count in mapper.num_apart if count]
+        if apart:
+            mapper.notes.append(
+                f"{len(apart)} of {len(found)} parts have too few points in common with the others: their {sum(apart)} images were"
+                " registered one by one, if they could be"
+            )
+        return True
+    mapper.notes.append(
+        "the parts do not fit each other, so all images were mapped together, which needs more memory"
+    )
+    return False
 
 
 def divided(mapper: IncrementalMapper, usable: Bool[np.ndarray, " n"]) -> Iterator[Part]:

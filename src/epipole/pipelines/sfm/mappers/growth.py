@@ -118,8 +118,10 @@ def grow_model(
         return False
     for start in reversed(starts):  # the first model decides on cameras in common
         _take_cameras(model, start.cameras)
-    for row, pose in join_models(model, [start.cams_from_world for start in starts], config).items():
+    joined = join_models(model, [start.cams_from_world for start in starts], config)
+    for row, pose in joined.items():
         model.register(row, pose)
+    mapper.num_apart = [len({*start.cams_from_world} - {*joined}) for start in starts]
     everything, angle_rad = np.arange(len(model.components)), np.deg2rad(config.min_angle_deg)
     if len(starts) > 1:
         model.triangulate(everything, LOOSE * config.max_error_px, angle_rad)

@@ -56,7 +56,13 @@ class Rejection:
 
 
 class IncrementalMapper:
-    """Grows one model from a pair of images until no further image fits (Snavely et al. 2006; Schoenberger 2016)."""
+    """Grows one model from a pair of images until no further image fits (Snavely et al. 2006; Schoenberger 2016).
+
+    Attributes (besides the arguments):
+        rejections: why images are not registered.
+        num_apart: for each model that it started from, its images that could not be joined to the first one.
+        notes: what was remarkable about parts that were mapped separately, in words.
+    """
 
     def __init__(
         self,
@@ -73,6 +79,8 @@ class IncrementalMapper:
         """Whether `finish` adjusts all points; False if the model will be completed and adjusted again."""
         self.consistency = MatchConsistency(model, view_graph)
         self.rejections: dict[int, Rejection] = {}
+        self.notes: list[str] = []
+        self.num_apart: list[int] = []
         self._started: set[int] = set()
         self.priors: PositionPriors | PosePriors | None = None
         self._ransac = RansacConfig(
