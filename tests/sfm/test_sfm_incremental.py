@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from sfm_rings import EXACT, errors_of, mapper_of, view_graph_of
 
-from epipole.mapping import ModelBuilder, connect_matches
-from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, spread_score
+from epipole.mapping import ModelBuilder, adjustment, connect_matches
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
+from epipole.pipelines.sfm.mappers.visible_points import VisiblePoints, spread_score
 from epipole.robust import PairKind
 from epipole.scene import Reconstruction, ViewGraph
 from epipole.synthetic.problems import bundle_problem
@@ -43,6 +44,27 @@ def test_noise_moves_cameras_by_little() -> None:
     radius = np.linalg.norm(noisy.cams_from_world().centers(), axis=1).mean()
     assert off.max() < 0.005 * radius and np.rad2deg(rotated).max() < 0.3
     assert np.median(off) > 1e-6  # the noise does arrive
+
+
+def test_what_is_counted_for_one_image_is_that_of_the_whole_model(
+    ring: Reconstruction, graph: ViewGraph, rng: np.random.Generator
+) -> None:
+    """While points come and go: the counts and scores of waiting images, and the agreement of single images, to the last bit."""
+    mapper = mapper_of(ring, graph)
+    assert mapper.run(np.ones(12, bool))
+    model, visible = mapper.model, VisiblePoints(mapper.model)
+    for step in range(6):
+        seen = model.has_point()[model.row_component]
+        visible.update()
+        for image, rows in enumerate(model.rows_of_image):
+            rows = rows[seen[rows]]
+            camera = model.cameras[int(model.camera_of_image[image])]
+            assert visible.count(image) == len(rows)
+            assert visible.score(image) == spread_score(model.row_pixel[rows], camera.width, camera.height)
+            assert mapper.consistency.of_image(model, image) == mapper.consistency.of_images(model)[image]
+        model.row_point[rng.integers(0, len(model.row_point), 400)] = rng.integers(-1, model.num_points, 400)
+        if step == 3:
+            model.deregister(5)
 
 
 def test_only_usable_images_take_part(ring: Reconstruction, graph: ViewGraph) -> None:
@@ -162,3 +184,22 @@ def test_the_focal_length_of_a_new_camera_is_found_with_its_place(
     assert builder.params[1, 0] == pytest.approx(truth, rel=1e-3)
     off, rotated = errors_of(mapper, ring)
     assert off.max() < 1e-2 and rotated.max() < 1e-2
+
+
+def test_observations_around_an_image_are_those_of_the_whole_model(
+    ring: Reconstruction, graph: ViewGraph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The points of an image and its neighbors, with all their rows, grouped by point: as from `rows_by_point`."""
+    mapper, seen = mapper_of(ring, graph), []
+    assert mapper.run(np.ones(12, bool))
+    model = mapper.model
+    monkeypatch.setattr(adjustment, "_adjust", lambda *given: seen.append(given))
+    for image in range(12):
+        adjustment.adjust_around(model, image, 4, mapper._local_bundle(), mapper.freedom())
+        _, rows, free, members, *_ = seen.pop()
+        own = np.concatenate([model.row_point[model.rows_of_image[i]] for i in free])
+        np.testing.assert_array_equal(members, np.unique(own[own >= 0]))
+        order, offsets = model.rows_by_point()
+        expected = np.concatenate([order[offsets[p] : offsets[p + 1]] for p in members])
+        np.testing.assert_array_equal(rows, expected)
+        assert len(free) == 4 and free[0] == image

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from jaxtyping import Float64
 from epipole._checks import Declared, check_index, checked
 from epipole.cameras import CameraModel
 from epipole.geometry import Rigid3
-from epipole.mapping.model_builder import ModelBuilder
+from epipole.mapping.model_builder import ModelBuilder, rows_of_components
 from epipole.mapping.point_sample import sample_points
 from epipole.optim import (
     BundleConfig,
@@ -140,20 +141,26 @@ def adjust_around(
     the neighborhood use them.
     """
     check_index(image, "image", len(model.rows_of_image))
-    order, offsets = model.rows_by_point()
+    near = _rows_with_points(model, [image])
     own = model.row_point[model.rows_of_image[image]]
-    own = np.unique(own[own >= 0])
-    rows = order[_ranges(offsets, own)]
+    rows = near[np.isin(model.row_point[near], own[own >= 0])]
     shared = np.bincount(model.row_image[rows], minlength=len(model.registered))
     shared[image] = 0
     neighbors = np.argsort(-shared, kind="stable")[: num_images - 1]
     free = np.concatenate([[image], neighbors[shared[neighbors] > 0]])
-    points = np.zeros(model.num_points, bool)
-    for i in free:
-        seen = model.row_point[model.rows_of_image[i]]
-        points[seen[seen >= 0]] = True
-    members = np.flatnonzero(points)
-    return _adjust(model, order[_ranges(offsets, members)], free, members, config, freedom, None)
+    near = _rows_with_points(model, free.tolist())
+    seen = model.row_point[np.concatenate([model.rows_of_image[i] for i in free])]
+    members = np.unique(seen[seen >= 0])
+    rows = near[np.isin(model.row_point[near], members)]
+    order = rows[np.argsort(model.row_point[rows], kind="stable")]
+    return _adjust(model, order, free, members, config, freedom, None)
+
+
+def _rows_with_points(model: ModelBuilder, images: Sequence[int]) -> np.ndarray:
+    """Rows that have a point, of all components of the images' keypoints, in order: those of the images' points are among them."""
+    own = np.concatenate([model.rows_of_image[i] for i in images])
+    rows = rows_of_components(model.components.offsets, np.unique(model.row_component[own]))
+    return np.asarray(rows[model.row_point[rows] >= 0])
 
 
 def _adjust(
@@ -221,11 +228,3 @@ def expected_params(model: ModelBuilder) -> tuple[np.ndarray, np.ndarray]:
             sigma[c, index] = fraction * cameras.params[c, index]
         sigma[c, list(kind.distortion_indices)] = DISTORTION_SIGMA
     return expected, sigma
-
-
-def _ranges(offsets: np.ndarray, items: np.ndarray) -> np.ndarray:
-    counts = offsets[items + 1] - offsets[items]
-    starts = np.repeat(
-        offsets[items] - np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64), counts
-    )
-    return starts + np.arange(counts.sum())

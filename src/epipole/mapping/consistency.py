@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from epipole._checks import checked
+from epipole._checks import check_index, checked
 from epipole.mapping.match_components import check_matches, num_keypoints_in
-from epipole.mapping.model_builder import ModelBuilder
+from epipole.mapping.model_builder import ModelBuilder, rows_of_components
 from epipole.scene import Reconstruction, ViewGraph
 
 
@@ -33,6 +33,9 @@ class MatchConsistency:
         self._row1 = row_of_keypoint[np.repeat(first1, counts) + view_graph.keypoint1]
         self._row2 = row_of_keypoint[np.repeat(first2, counts) + view_graph.keypoint2]
         self._view_graph = view_graph
+        self._pairs_of_image = [
+            _grouped(side, len(model.keypoints)) for side in (view_graph.image1, view_graph.image2)
+        ]
 
     @checked
     def fractions(self, model: ModelBuilder) -> tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
@@ -65,6 +68,29 @@ class MatchConsistency:
             total[0] += np.bincount(side[known], (fractions * count)[known], len(total[0]))
             total[1] += np.bincount(side[known], count[known], len(total[1]))
         return np.divide(total[0], total[1], out=np.ones(len(total[0])), where=total[1] > 0)
+
+    @checked
+    def of_image(self, model: ModelBuilder, image: int) -> float:
+        """The same for one image, in a time that does not grow with the number of images."""
+        check_index(image, "image", len(model.registered))
+        graph, sums = self._view_graph, np.zeros(2)
+        for pairs in (own[image] for own in self._pairs_of_image):
+            pairs = pairs[model.registered[graph.image1[pairs]] & model.registered[graph.image2[pairs]]]
+            at = rows_of_components(graph.match_offsets, pairs)
+            point1, point2 = model.row_point[self._row1[at]], model.row_point[self._row2[at]]
+            number = np.repeat(np.arange(len(pairs)), np.diff(graph.match_offsets)[pairs])
+            count = np.bincount(number[(point1 >= 0) | (point2 >= 0)], minlength=len(pairs))
+            same = np.bincount(number[(point1 == point2) & (point1 >= 0)], minlength=len(pairs))
+            # One after the other, as in `of_images`: both are equal to the last bit.
+            of_pairs = same / np.maximum(count, 1) * count
+            sums += [np.bincount(np.zeros(len(pairs), int), each, 1)[0] for each in (of_pairs, count)]
+        return float(sums[0] / sums[1]) if sums[1] > 0 else 1.0
+
+
+def _grouped(image: np.ndarray, num_images: int) -> list[np.ndarray]:
+    """Pairs of each image, in order."""
+    order = np.argsort(image, kind="stable")
+    return np.split(order, np.searchsorted(image[order], np.arange(1, num_images)))
 
 
 def _num_in_pairs(mask: np.ndarray, view_graph: ViewGraph) -> Int64[np.ndarray, " n"]:

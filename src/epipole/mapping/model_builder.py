@@ -226,7 +226,7 @@ class ModelBuilder:
             seen = self._kernel_rows(), self._kernel_cams(), self.components.offsets, components, start, stop
             limits = max_error_px**2, limit, self.longest
             count = kernels.triangulate_components(*seen, *limits, made, point_of_row)
-            rows = _rows_of(self.components.offsets, components[start:stop])
+            rows = rows_of_components(self.components.offsets, components[start:stop])
             rows = rows[point_of_row[rows] >= 0]
             return made[:count], rows, point_of_row[rows]
 
@@ -310,7 +310,7 @@ class ModelBuilder:
         check_index(image, "image", len(self.rows_of_image))
         rows = self.rows_of_image[image]
         component = self.row_component[rows]
-        near = _rows_of(self.components.offsets, component)
+        near = rows_of_components(self.components.offsets, component)
         repeats = np.diff(self.components.offsets)[component]
         owner = np.repeat(rows, repeats)
         point = self.row_point[near]
@@ -385,7 +385,7 @@ class ModelBuilder:
         return replace(model, points=replace(model.points, error_px=mean))
 
 
-def _rows_of(offsets: np.ndarray, components: np.ndarray) -> np.ndarray:
+def rows_of_components(offsets: np.ndarray, components: np.ndarray) -> np.ndarray:
     """All rows of the given components, in order."""
     counts = offsets[components + 1] - offsets[components]
     starts = np.repeat(offsets[components] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)

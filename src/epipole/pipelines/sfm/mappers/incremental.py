@@ -28,6 +28,7 @@ from epipole.mapping import (
 )
 from epipole.optim import BundleConfig, Loss
 from epipole.pipelines.sfm.config import MapperConfig
+from epipole.pipelines.sfm.mappers.visible_points import VisiblePoints
 from epipole.robust import PairKind
 from epipole.scene import ViewGraph
 
@@ -82,6 +83,7 @@ class IncrementalMapper:
         self.notes: list[str] = []
         self.num_apart: list[int] = []
         self._started: set[int] = set()
+        self._visible = VisiblePoints(model)
         self.priors: PositionPriors | PosePriors | None = None
         self._ransac = RansacConfig(
             max_error_px=config.resection_max_error_px,
@@ -220,7 +222,7 @@ class IncrementalMapper:
         """Remove an image whose matches are different points of the model, which means that its pose is wrong."""
         if not self.model.registered[image] or self.model.registered.sum() <= 3:
             return
-        if self.consistency.of_images(self.model)[image] < self.config.image_fraction:
+        if self.consistency.of_image(self.model, image) < self.config.image_fraction:
             in_sight = self._num_rows_in_sight(image)
             self.model.deregister(image)
             self.rejections[image] = Rejection(image, in_sight, 0)
@@ -255,22 +257,19 @@ class IncrementalMapper:
         return None
 
     def _ranked_candidates(self, usable: np.ndarray) -> np.ndarray:
-        model = self.model
-        waiting = np.flatnonzero(usable & ~model.registered)
-        seen = model.has_point()[model.row_component]
+        visible, least = self._visible, self.config.resection_min_inliers
+        visible.update()
+        waiting = np.flatnonzero(usable & ~self.model.registered)
         scores = np.zeros(len(waiting))
-        for n, image in enumerate(waiting):
-            rows = model.rows_of_image[image]
-            rows = rows[seen[rows]]
-            least, before = self.config.resection_min_inliers, self.rejections.get(int(image))
+        for n, image in enumerate(waiting.tolist()):
+            count, before = visible.count(image), self.rejections.get(image)
             was_tried = before is not None and before.num_points_in_sight >= least
             # An image is tried again only if more of the model is visible than at its last failure.
-            stale = before is not None and was_tried and len(rows) <= 1.1 * before.num_points_in_sight
-            if len(rows) >= least and not stale:
-                camera = model.cameras[int(model.camera_of_image[image])]
-                scores[n] = spread_score(model.row_pixel[rows], camera.width, camera.height)
+            is_pointless = before is not None and was_tried and count <= 1.1 * before.num_points_in_sight
+            if count >= least and not is_pointless:
+                scores[n] = visible.score(image)
             elif not was_tried:  # the number of visible points grows with the model
-                self.rejections[int(image)] = Rejection(int(image), len(rows), 0)
+                self.rejections[image] = Rejection(image, count, 0)
         order = np.argsort(-scores, kind="stable")
         return waiting[order[scores[order] > 0]]
 
@@ -382,17 +381,3 @@ def final_bundle(config: MapperConfig, median_error_px: float) -> BundleConfig:
         max_iterations=50,
         function_tolerance=1e-5,
     )
-
-
-def spread_score(pixels: np.ndarray, width: int, height: int, levels: int = 6) -> float:
-    """Number and distribution of visible points: occupied cells on finer and finer grids, weighted by 4^level.
-
-    The visibility pyramid of Schoenberger and Frahm (CVPR 2016, section 4.2).
-    """
-    score = 0.0
-    for level in range(1, levels + 1):
-        cells = 1 << level
-        x = np.clip(pixels[:, 0] * cells / width, 0, cells - 1).astype(int)
-        y = np.clip(pixels[:, 1] * cells / height, 0, cells - 1).astype(int)
-        score += len(np.unique(y * cells + x)) * 4.0**level
-    return score
