@@ -220,6 +220,14 @@ def test_a_camera_without_intrinsics_is_refused(tmp_path, monkeypatch):
     assert capture.is_released
 
 
+def test_a_live_camera_has_no_finished_log_of_an_imu(tmp_path):
+    (tmp_path / "imu.txt").write_text("".join(f"{0.005 * n} 0 0 0 0 0 9.81\n" for n in range(20)))
+    (tmp_path / "mounting.yaml").write_text(f"T_cam_imu: {np.eye(4).tolist()}\n")
+    given = {"imu": tmp_path / "imu.txt", "imu_mounting": tmp_path / "mounting.yaml"}
+    with pytest.raises(ConfigError, match=r"Slam\.add_imu"):
+        run_slam("0", tmp_path / "out", **given)
+
+
 class FakeClock(Clock):
     """Passes only as it is told to."""
 

@@ -294,6 +294,10 @@ def _check_source(source: Path, job: SlamConfig) -> None:
     if not is_bag(source) and (cameras or is_video(source)):
         if job.fps is not None:
             raise ConfigError("fps is for folders of images without timestamps: a video has its own")
+        if cameras and job.anchors.imu is not None:
+            raise ConfigError(
+                "imu is a file of finished measurements, which a live camera does not have: Slam.add_imu takes them in Python"
+            )
         sensors, refusal = _SENSORS[len(cameras)]
         if job.sensor not in sensors:
             raise ConfigError(refusal)

@@ -32,8 +32,8 @@ from epipole.runs import Unit
 from epipole.scene import Georeference
 from epipole.scene.textured_mesh import TexturedMesh
 
-MOST_SAMPLES, MOST_PER_SIDE = 5e7, 8
-"""Samples of the view from above in all, and along a side of a cell, at most."""
+MOST_SAMPLES, MOST_PER_SIDE = 1.2e7, 8
+"""Samples of the view from above in all, which need 80 bytes each, and along a side of a cell, at most."""
 FINE_CELLS, FINE_PIXELS = 5.0, 0.5
 """Voxels larger than this many cells, and cells smaller than this part of a pixel, are reported."""
 SMOOTH_CELLS = 2.0
