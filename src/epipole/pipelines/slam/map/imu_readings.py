@@ -40,9 +40,10 @@ def better_reading(
     """
     if misfit <= LEAST_MISFIT:
         return ""
+    near = imu.log.between(float(timestamp_s[0]), float(timestamp_s[-1]))
     found = [(min(CLEARER * misfit, LARGEST_MISFIT), "")]
     for gyro_factor, accel_factor, words in _READINGS:
-        log = ImuLog(imu.log.timestamp_s, gyro_factor * imu.log.gyro_rad_s, accel_factor * imu.log.accel_m_s2)
+        log = ImuLog(near.timestamp_s, gyro_factor * near.gyro_rad_s, accel_factor * near.accel_m_s2)
         try:
             other = align_path_to_imu(
                 timestamp_s, world_from_camera, replace(imu, log=log), is_metric=is_metric
