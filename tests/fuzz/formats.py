@@ -1076,7 +1076,8 @@ FORMATS: dict[str, Format] = {
     "georeference": Format(
         _put(
             "a.json",
-            b'{"lat_deg": 48.2, "lon_deg": 11.6, "alt_m": 520.5, "axes": "east, north, up", "crs": ""}',
+            b'{"lat_deg": 48.2, "lon_deg": 11.6, "alt_m": 520.5, "axes": "east, north, up", "crs": "",'
+            b' "sigma_m": [0.02, 0.03, 0.05]}',
         ),
         *("a.json", "text", _georeference, ("read_georeference",)),
     ),

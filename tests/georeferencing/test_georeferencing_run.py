@@ -1,5 +1,6 @@
 """The georeferencing job: files in, files out."""
 
+import csv
 import json
 import sys
 from pathlib import Path
@@ -42,6 +43,19 @@ def test_a_model_gets_its_position_on_earth(one: Flight, workspace: Path):
     assert stored.georeference == result.model.georeference
     off = enu(stored, stored.camera_centers_in_world()) - one.centers
     assert np.abs(off).max() < 0.5
+    sigma_m = result.summary["median_image_sigma_m"]
+    assert stored.georeference.sigma_m == tuple(sigma_m[axis] for axis in ("east_m", "north_m", "up_m"))
+    with (result.out / "images.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["image"] for row in rows] == list(stored.images.name)
+    table = np.array([[float(row[f"{axis}_m"]) for axis in ("east", "north", "up")] for row in rows])
+    np.testing.assert_allclose(table, stored.camera_centers_in_world(), atol=1e-6)
+    on_earth = np.array(
+        [[float(row[n]) for n in ("latitude_deg", "longitude_deg", "altitude_m")] for row in rows]
+    )
+    np.testing.assert_allclose(stored.georeference.enu_of(on_earth), table, atol=1e-4)
+    sigmas = np.array([[float(row[f"sigma_{axis}_m"]) for axis in ("east", "north", "up")] for row in rows])
+    assert (np.abs(off) < 5.0 * sigmas).mean() > 0.9 and (sigmas > 0).all()
     points = json.loads((result.out / "control_points.json").read_text())
     assert points["P0"]["role"] == "control" and points["CHK-P7"]["role"] == "check"
     assert max(abs(v) for v in points["CHK-P7"]["residual_m"].values()) < 0.4

@@ -143,6 +143,11 @@ def test_a_georeference_there_and_back(tmp_path):
     [
         ("[]", "must be an object"),
         ('{"lat_deg": 1, "lon_deg": 2}', "alt_m of the georeference must be a number"),
+        (
+            '{"lat_deg": 1, "lon_deg": 2, "alt_m": 3, "sigma_m": [1, 2]}',
+            "sigma_m of the georeference must be three",
+        ),
+        ('{"lat_deg": 1, "lon_deg": 2, "alt_m": 3, "sigma_m": [1, 2, -1]}', "sigma_m must not be negative"),
         ('{"lat_deg": 100, "lon_deg": 2, "alt_m": 3}', "not a latitude"),
         ('{"lat_deg": 1, "lon_deg": 2, "alt_m": 3, "axes": "north, east, down"}', "unknown axes"),
         ('{"lat_deg": 1, "lon_deg": 2, "alt_m": 3, "crs": 5}', "crs of the georeference"),

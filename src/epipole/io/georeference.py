@@ -16,18 +16,20 @@ from epipole.scene import Georeference
 GEOREFERENCE = "georeference.json"
 _NUMBERS = ("lat_deg", "lon_deg", "alt_m")
 AXES = "east, north, up"
+SIGMA = "sigma_m"
 
 
 @checked
 def georeference_fields(georeference: Georeference) -> dict[str, Any]:
     """The content of the file, which other formats can include, too."""
-    return {
+    fields: dict[str, Any] = {
         "lat_deg": georeference.lat_deg,
         "lon_deg": georeference.lon_deg,
         "alt_m": georeference.alt_m,
         "axes": AXES,
         "crs": georeference.crs,
     }
+    return fields if georeference.sigma_m is None else fields | {SIGMA: list(georeference.sigma_m)}
 
 
 @checked
@@ -45,19 +47,32 @@ def georeference_of_fields(path: str | Path, content: Any) -> Georeference:
         raise FileFormatError(path, "the georeference must be an object with lat_deg, lon_deg and alt_m")
     for name in _NUMBERS:
         number = content.get(name)
-        if isinstance(number, bool) or not isinstance(number, (int, float)) or not math.isfinite(number):
+        if not _is_number(number):
             raise FileFormatError(path, f"{name} of the georeference must be a number, got {number!r}")
     axes, crs = content.get("axes", AXES), content.get("crs", "")
     if axes != AXES:
         raise FileFormatError(path, f"unknown axes {axes!r} of the georeference: only {AXES!r} is supported")
     if not isinstance(crs, str):
         raise FileFormatError(path, f"crs of the georeference must be text, got {crs!r}")
+    sigma_m = content.get(SIGMA)
+    if sigma_m is not None and not (
+        isinstance(sigma_m, list) and len(sigma_m) == 3 and all(map(_is_number, sigma_m))
+    ):
+        raise FileFormatError(path, f"{SIGMA} of the georeference must be three numbers, got {sigma_m!r}")
     try:
         return Georeference(
-            float(content["lat_deg"]), float(content["lon_deg"]), float(content["alt_m"]), crs
+            float(content["lat_deg"]),
+            float(content["lon_deg"]),
+            float(content["alt_m"]),
+            crs,
+            None if sigma_m is None else (float(sigma_m[0]), float(sigma_m[1]), float(sigma_m[2])),
         )
     except ConfigError as error:
         raise FileFormatError(path, str(error)) from error
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
 
 
 @checked

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,8 @@ class Georeference:
     """Height of the origin, in the same vertical datum as the measurements that determined it."""
     crs: str = ""
     """Coordinate system of the control points, such as EPSG:32632; empty: WGS84 longitude and latitude."""
+    sigma_m: tuple[float, float, float] | None = None
+    """Standard deviations of a position in the model, east, north and up (the median over its images); None if unknown."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -34,6 +37,8 @@ class Georeference:
             ConfigError: not a position on Earth.
         """
         check_fields(self)
+        if self.sigma_m is not None and not all(0 <= sigma < math.inf for sigma in self.sigma_m):
+            raise ConfigError(f"sigma_m must not be negative, and finite, got {self.sigma_m}")
         if not (abs(self.lat_deg) <= 90.0 and abs(self.lon_deg) <= 360.0 and abs(self.alt_m) <= 1e6):
             raise ConfigError(
                 f"not a latitude, longitude and altitude: {self.lat_deg}, {self.lon_deg}, {self.alt_m}"

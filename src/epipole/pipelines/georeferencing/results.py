@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import io
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -51,11 +54,43 @@ def point_entries(
     return out
 
 
+def with_sigma(origin: Georeference | None, found: GeoreferencedModel) -> Georeference | None:
+    """The origin with the standard deviations of a position in the model; without them if they are undetermined."""
+    sigma_m = np.nanmedian(_image_sigmas(found), axis=0)
+    if origin is None or not np.isfinite(sigma_m).all():
+        return origin
+    return replace(origin, sigma_m=(float(sigma_m[0]), float(sigma_m[1]), float(sigma_m[2])))
+
+
+def image_table(found: GeoreferencedModel, origin: Georeference | None) -> str:
+    """The registered images as CSV: position in meters with standard deviations, and latitude, longitude and altitude if known."""
+    model = found.model
+    rows = np.flatnonzero(model.is_registered())
+    centers, sigmas = model.camera_centers_in_world()[rows], _image_sigmas(found)[rows]
+    columns = ["image", *AXES, *(f"sigma_{axis}" for axis in AXES)]
+    values = np.concatenate([centers, sigmas], axis=1)
+    if origin is not None:
+        columns += ["latitude_deg", "longitude_deg", "altitude_m"]
+        values = np.concatenate([values, origin.lat_lon_alt_of(centers)], axis=1)
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    for row, numbers in zip(rows.tolist(), values.tolist()):
+        known = [repr(round(v, 10)) if np.isfinite(v) else "" for v in numbers]
+        writer.writerow([model.images.name[row], *known])
+    return text.getvalue()
+
+
+def _image_sigmas(found: GeoreferencedModel) -> np.ndarray:
+    """(n, 3) standard deviations of the images' positions; infinite if undetermined, NaN if not registered."""
+    return np.asarray(np.sqrt(np.einsum("nii->ni", found.adjusted.center_covariances)))
+
+
 def summary_of(found: GeoreferencedModel, origin: Georeference | None) -> dict[str, Any]:
     """The result in numbers."""
     roles = [role.value for role in found.roles]
     model = found.model
-    sigmas = np.sqrt(np.einsum("nii->ni", found.adjusted.center_covariances))
+    sigmas = _image_sigmas(found)
     horizontal = np.hypot(found.gps_residuals_m[:, 0], found.gps_residuals_m[:, 1])
     num_gps = int(np.isfinite(horizontal).sum())
     return {

@@ -31,7 +31,7 @@ from epipole.pipelines.georeferencing.georeference import (
 )
 from epipole.pipelines.georeferencing.options import GeoreferenceKeywords
 from epipole.pipelines.georeferencing.page import render_page
-from epipole.pipelines.georeferencing.results import point_entries, summary_of
+from epipole.pipelines.georeferencing.results import image_table, point_entries, summary_of, with_sigma
 from epipole.pipelines.georeferencing.start import refuse_other_area
 from epipole.pipelines.georeferencing.survey import GpsFixes, SurveyedPoints, observations_in_model
 from epipole.runs import Job, ProgressCallback, Run, ignore_progress, open_run
@@ -123,6 +123,7 @@ def georeference(
         with run.stage("adjust"):
             run.report("adjust", 0, 1)
             found = georeference_model(model, measured.surveyed, measured.gps, config)
+            measured = replace(measured, origin=with_sigma(measured.origin, found))
             found = replace(found, model=replace(found.model, georeference=measured.origin))
             run.report("adjust", 1, 1)
         run.warnings += [*_lost_before(root), *measured.notes, *found.warnings]
@@ -296,6 +297,7 @@ def _write(found: GeoreferencedModel, measured: _Measured, root: Path, run: Run)
         with run.folder.publish("model") as aside:
             write_colmap_model(model, aside / "sparse" / "0")
             write_scene_ply(aside / "points.ply", model)
+            (aside / "images.csv").write_text(image_table(found, measured.origin), encoding="utf-8")
             if origin is not None and origin.crs != WGS84:
                 points = coordinates_of(origin.lat_lon_alt_of(model.points.xyz_in_world), origin.crs)
                 write_points_ply(aside / "points_in_crs.ply", points, model.points.rgb)
