@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,8 @@ GEOREFERENCE = "georeference.json"
 _NUMBERS = ("lat_deg", "lon_deg", "alt_m")
 AXES = "east, north, up"
 SIGMA = "sigma_m"
+_LARGEST = 1e12
+"""Larger numbers are none of a position on Earth; integers in JSON may be larger than any float."""
 
 
 @checked
@@ -72,7 +73,7 @@ def georeference_of_fields(path: str | Path, content: Any) -> Georeference:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= _LARGEST
 
 
 @checked
