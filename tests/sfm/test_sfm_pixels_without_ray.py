@@ -24,7 +24,7 @@ def test_cameras_that_images_were_registered_with_are_looked_at(monkeypatch):
             camera_of_image=np.array([0, 0, 1]),
             is_registered=lambda registered=registered: np.array(registered),
         )
-        mapped = SimpleNamespace(agreements=[], models=[model], pose_fits=(None,))
+        mapped = SimpleNamespace(agreements=[], models=[model], pose_fits=(None,), notes=())
         images = SimpleNamespace(
             names=(), known_poses=None, cameras=SimpleNamespace(is_constant=np.array([True, True]))
         )

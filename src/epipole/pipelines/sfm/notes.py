@@ -79,9 +79,10 @@ def warnings_of(solution: Solution, config: MapperConfig) -> list[str]:
 
 def _unmapped_warnings(solution: Solution, config: MapperConfig) -> list[str]:
     """A warning if mapping ended at the largest number of models, although other images match each other."""
-    models, graph = solution.mapped.models, solution.view_graph
+    models = solution.mapped.models
     if len(models) < config.max_models:
         return []
+    graph = solution.view_graph
     is_left = ~np.any([model.is_registered() for model in models], axis=0)
     matches = is_left[graph.image1] & is_left[graph.image2]
     count = len(np.unique([graph.image1[matches], graph.image2[matches]]))
