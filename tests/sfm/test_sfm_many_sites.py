@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from epipole.pipelines.sfm.config import MapperConfig
-from epipole.pipelines.sfm.mapping_stage import NO_POINT, reasons_in_words
+from epipole.pipelines.sfm.mapping_stage import reasons_in_words
 from epipole.pipelines.sfm.notes import _unmapped_warnings
 from epipole.pipelines.sfm.page.content import MAX_IMAGES_SHOWN, _pictured, _used_keypoints
 from epipole.robust import PairKind
@@ -26,11 +26,11 @@ class Named:
 
 
 def left_solution(num_models: int) -> SimpleNamespace:
-    """Two models of images 0 to 5; images 6 to 9 match each other, image 10 nothing."""
+    """Two models of images 0 to 5; images 6 to 9 match each other, image 10 only one of a model."""
     rows = [np.arange(11) // 3 == k for k in range(2)]
     models = [SimpleNamespace(is_registered=lambda own=own: own) for own in rows[:num_models]]
-    first, second = np.array([0, 3, 6, 7, 8]), np.array([1, 4, 7, 8, 9])
-    kind = np.full(5, PairKind.GENERAL)
+    first, second = np.array([0, 3, 6, 7, 8, 0]), np.array([1, 4, 7, 8, 9, 10])
+    kind = np.full(6, PairKind.GENERAL)
     graph = SimpleNamespace(image1=first, image2=second, kind=kind)
     return SimpleNamespace(mapped=SimpleNamespace(models=tuple(models), rejections={}), view_graph=graph)
 
@@ -45,8 +45,10 @@ def test_images_of_further_sites_are_said() -> None:
     none = SimpleNamespace(image1=np.zeros(0, int), image2=np.zeros(0, int))
     given = (images, solution.mapped, solution.view_graph, none, keypoints)
     reasons = reasons_in_words(*given, config)
-    assert "ended after 2 models" in reasons["6.jpg"] and "no overlap" in reasons["10.jpg"]
-    assert reasons_in_words(*given, MapperConfig(max_models=3))["6.jpg"] == NO_POINT
+    assert "ended after 2 models" in reasons["6.jpg"] and "no point of the model" in reasons["10.jpg"]
+    assert reasons_in_words(*given, MapperConfig(max_models=3))["6.jpg"] == (
+        "its matches belong to no point of the model"
+    )
 
 
 def test_the_report_shows_some_of_many_images() -> None:

@@ -78,7 +78,8 @@ class MatchConsistency:
             pairs = pairs[model.registered[graph.image1[pairs]] & model.registered[graph.image2[pairs]]]
             at = rows_of_components(graph.match_offsets, pairs)
             point1, point2 = model.row_point[self._row1[at]], model.row_point[self._row2[at]]
-            number = np.repeat(np.arange(len(pairs)), np.diff(graph.match_offsets)[pairs])
+            sizes = graph.match_offsets[pairs + 1] - graph.match_offsets[pairs]
+            number = np.repeat(np.arange(len(pairs)), sizes)
             count = np.bincount(number[(point1 >= 0) | (point2 >= 0)], minlength=len(pairs))
             same = np.bincount(number[(point1 == point2) & (point1 >= 0)], minlength=len(pairs))
             # One after the other, as in `of_images`: both are equal to the last bit.

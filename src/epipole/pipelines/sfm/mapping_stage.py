@@ -34,7 +34,6 @@ GPS_OUTLIER_SIGMAS = 5.0
 UNKNOWN_ALTITUDE_SIGMA_M = 1e4
 VAGUE_UP_RAD = np.deg2rad(8.0)
 """Standard deviation of the up direction above which a warning is given."""
-NO_POINT = "its matches belong to no point of the model"
 FEW_FEATURES = 30
 MOSTLY = 0.9
 """Fraction of a grown model's images that the earlier one had, from which it is adjusted in fewer rounds."""
@@ -251,6 +250,16 @@ def _adjust_again(mapper: IncrementalMapper, adjusting: Callable[[int, int], Non
     adjusting(3, 3)
 
 
+def images_left(num_images: int, mapped: Mapped, view_graph: ViewGraph, config: MapperConfig) -> np.ndarray:
+    """(n,) mask of images that match each other and are in no model, because there were as many models as the options allow."""
+    out = np.zeros(num_images, bool)
+    if mapped.models and len(mapped.models) >= config.max_models:
+        registered = np.any([model.is_registered() for model in mapped.models], axis=0)
+        matches = ~registered[view_graph.image1] & ~registered[view_graph.image2]
+        out[view_graph.image1[matches]] = out[view_graph.image2[matches]] = True
+    return out
+
+
 def reasons_in_words(
     images: ImageSet,
     mapped: Mapped,
@@ -260,14 +269,14 @@ def reasons_in_words(
     config: MapperConfig,
 ) -> dict[str, str]:
     """Reasons why images are not registered; `unused` are the verified pairs that contradict others."""
-    min_inliers, is_full = config.resection_min_inliers, len(mapped.models) >= config.max_models
+    min_inliers, is_left = config.resection_min_inliers, images_left(len(images), mapped, view_graph, config)
     registered = np.zeros(len(images), bool)
     for model in mapped.models:
         registered |= model.is_registered()
     out = dict(images.left_out)
     for image in np.flatnonzero(~registered):
         words = _reason(int(image), mapped, view_graph, unused, len(keypoints[int(image)]), min_inliers)
-        if is_full and words == NO_POINT:
+        if is_left[image]:
             words = f"mapping ended after {config.max_models} models (--mapper.max-models)"
         is_masked = images.mask_fingerprints[image] and len(keypoints[int(image)]) < 2 * min_inliers
         out[images.names[image]] = f"{words}, or its mask covers it" if is_masked else words
@@ -300,7 +309,7 @@ def _reason(
     if not mapped.models:
         return "no pair of images could start a model: too few matches, or too small a triangulation angle"
     if rejection is None or rejection.num_points_in_sight == 0:
-        return NO_POINT
+        return "its matches belong to no point of the model"
     if rejection.num_inliers == 0:
         return f"sees only {rejection.num_points_in_sight} points of the model; at least {min_inliers} are needed"
     return f"of {rejection.num_points_in_sight} visible points of the model, only {rejection.num_inliers} agree on a pose"

@@ -15,6 +15,7 @@ from epipole.pipelines.sfm.anchored import UP_TO_SCALE
 from epipole.pipelines.sfm.config import MapperConfig
 from epipole.pipelines.sfm.gps.gps_notes import gps_notes
 from epipole.pipelines.sfm.known_poses import notes_on_poses
+from epipole.pipelines.sfm.mapping_stage import images_left
 from epipole.pipelines.sfm.pipeline import FOCAL_CORRECTION, Solution
 
 KINDS_OF_FOLDER = frozenset(
@@ -82,10 +83,8 @@ def _unmapped_warnings(solution: Solution, config: MapperConfig) -> list[str]:
     models = solution.mapped.models
     if len(models) < config.max_models:
         return []
-    graph = solution.view_graph
-    is_left = ~np.any([model.is_registered() for model in models], axis=0)
-    matches = is_left[graph.image1] & is_left[graph.image2]
-    count = len(np.unique([graph.image1[matches], graph.image2[matches]]))
+    num_images = len(models[0].is_registered())
+    count = int(images_left(num_images, solution.mapped, solution.view_graph, config).sum())
     if count < LEAST_LEFT:
         return []
     return [

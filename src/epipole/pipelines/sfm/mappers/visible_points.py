@@ -11,8 +11,8 @@ from epipole.mapping.model_builder import rows_of_components
 class VisiblePoints:
     """Numbers and distribution of the points that each image sees if its matches are right.
 
-    Registering an image changes the points of some components. Only images with keypoints in these are counted again, so the time does
-    not grow with the number of images.
+    Registering an image changes the points of some components. Only images with keypoints in these are counted and scored again; which
+    components have points is one pass over all keypoints.
     """
 
     def __init__(self, model: ModelBuilder) -> None:
