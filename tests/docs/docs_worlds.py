@@ -300,7 +300,7 @@ AFTER_RECONSTRUCTING: dict[str, Callable[[Path], None]] = {
     "localization-0": new_photographs,
     "surfaces-0": nothing,
     "visual_effects-0": nothing,
-    "surfaces-1": surveyed,
+    "survey-0": surveyed,
     "merging-0": nothing,
     "merging-1": two_models,
     "reconstruction-1": nothing,

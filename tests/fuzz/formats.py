@@ -128,6 +128,7 @@ from epipole.pipelines.slam.output.map_file import load_slam_map, read_slam_map,
 from epipole.pipelines.slam.output.record import FrameRecord
 from epipole.pipelines.stereo.files import read_stereo, write_image
 from epipole.pipelines.stereo.pairs import read_summary
+from epipole.pipelines.surfaces.depth_views import read_depth_views
 from epipole.runs import ignore_progress
 from epipole.runs.folder import OutputFolder, read_mark
 from epipole.runs.source import Source
@@ -767,6 +768,18 @@ def _depths(folder: Path) -> None:
     assert found.depths.shape == found.left_rgb.shape[:2] and np.isfinite(found.K).all()
 
 
+def _listed_depths(folder: Path) -> None:
+    view = {"name": "a.jpg", "file": "units/depth/a.npz", "width": 64, "height": 48}
+    view |= {"fx": 50.0, "fy": 51.0, "cx": 31.5, "cy": 23.5, "cam_from_world": np.eye(4)[:3].tolist()}
+    (folder / "depths.json").write_text(json.dumps({"views": [view, view | {"name": "b.jpg"}]}, indent=1))
+
+
+def _depth_views(folder: Path) -> None:
+    for view in read_depth_views(folder):
+        assert np.isfinite(view.camera.K).all() and np.isfinite(view.cam_from_world.as_matrix()).all()
+        assert folder in view.path.parents
+
+
 def _summary(folder: Path) -> None:
     with _never_refused():
         found = read_summary(folder)
@@ -1203,6 +1216,7 @@ FORMATS: dict[str, Format] = {
         _put("summary.json", b'{"done": ["a"], "known": {"a": 0.5}, "warnings": {}, "problems": {"b": "c"}}'),
         *("summary.json", "json", _summary, ("read_summary",)),
     ),
+    "depth-list": Format(_listed_depths, "depths.json", "json", _depth_views, ("read_depth_views",)),
     "unit": Format(_write_unit, "unit.npz", "sealed", _unit, ("load", "stored_key"), may_ask=True),
     "mark": Format(_marked, "epipole.json", "json", _mark, ("read_mark",)),
     "pairs": Format(

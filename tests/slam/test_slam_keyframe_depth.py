@@ -24,6 +24,11 @@ def plane_depth(camera):
     return (PLANE[3] / (rays @ PLANE[:3])).reshape(v.shape)
 
 
+def colors_of(frame):
+    """Three channels that differ."""
+    return np.stack([frame.gray, frame.gray // 2, frame.gray // 4], axis=2)
+
+
 def sensor_frame(mask=None):
     color_from_depth = DEPTH_FROM_COLOR.inverse()
     u = np.mgrid[:240, :320][1].astype(float)
@@ -31,10 +36,10 @@ def sensor_frame(mask=None):
     return Frame(0.0, gray, None, plane_depth(SENSOR).astype(np.float32), mask), color_from_depth
 
 
-def test_a_distorted_sensor_gives_the_plane_and_the_gray_values_of_its_points():
+def test_a_distorted_sensor_gives_the_plane_and_the_colors_of_its_points():
     reader = depth_reader(SlamCamera(COLOR, None, DepthCamera(SENSOR, DEPTH_FROM_COLOR, 1.02)), 0.0, 0.0)
     frame, color_from_depth = sensor_frame()
-    depth, sigma, gray = reader.read(frame)
+    depth, sigma, rgb = reader.read(frame, colors_of(frame))
     known = np.isfinite(depth)
     assert known.mean() > 0.95 and depth.shape == (reader.camera.height, reader.camera.width)
     np.testing.assert_allclose(
@@ -46,25 +51,26 @@ def test_a_distorted_sensor_gives_the_plane_and_the_gray_values_of_its_points():
     points = rays / rays[:, 2:] * depth[known][:, None]
     column, row = COLOR.project(color_from_depth.apply(points)).T
     clear = (np.abs(column - 160) > 2) & (column > 0) & (column < 319) & (row > 0) & (row < 239)
-    assert (gray[known][clear] == np.where(column[clear] < 160, 40, 200)).mean() > 0.99
+    wanted = np.where(column[clear, None] < 160, [40, 20, 10], [200, 100, 50])
+    assert (rgb[known][clear] == wanted).all(axis=1).mean() > 0.99
     np.testing.assert_array_equal(reader.depth_from_cam.rotation, DEPTH_FROM_COLOR.rotation)
 
 
 def test_masked_pixels_of_the_color_image_are_masked_in_the_depth():
     reader = depth_reader(SlamCamera(COLOR, None, DepthCamera(SENSOR, DEPTH_FROM_COLOR)), 0.0, 0.0)
     frame, _ = sensor_frame(mask=np.mgrid[:240, :320][1] < 160)
-    depth, _, gray = reader.read(frame)
+    depth, _, rgb = reader.read(frame, colors_of(frame))
     known = np.isfinite(depth)
-    assert 0.3 < known.mean() < 0.6 and (gray[known] != 40).all()
+    assert 0.3 < known.mean() < 0.6 and (rgb[known][:, 0] != 40).all()
 
 
 def test_a_shift_of_the_right_image_is_undone():
     camera, frame = SlamCamera(CAMERA, BASELINE), ride(count=2).frames("stereo")[0]
-    plain = depth_reader(camera, 60.0, 0.0).read(frame).depth
+    plain = depth_reader(camera, 60.0, 0.0).read(frame, colors_of(frame)).depth
     shifted = Frame(
         0.0, frame.gray, np.roll(frame.right_gray, 2, axis=1)
     )  # disparities are two pixels smaller
-    undone = depth_reader(camera, 60.0, 2.0).read(shifted).depth
+    undone = depth_reader(camera, 60.0, 2.0).read(shifted, colors_of(frame)).depth
     both = np.isfinite(plain) & np.isfinite(undone)
     both[:, :8] = False
     assert both.mean() > 0.15 and np.median(np.abs(undone / plain - 1.0)[both]) < 2e-3

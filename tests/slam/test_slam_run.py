@@ -155,6 +155,14 @@ def test_a_mesh_of_an_earlier_run_does_not_stay(data_dir, tmp_path):
     assert not (tmp_path / "out" / "mesh.ply").exists()
 
 
+def test_a_mesh_has_the_colors_of_the_frames(data_dir, tmp_path):
+    found = run_slam(data_dir / "slam" / "7scenes", tmp_path / "out", mesh=True, max_frames=12)
+    assert found.summary["mesh"]["num_faces"] > 10_000
+    rgb = read_mesh_ply(tmp_path / "out" / "mesh.ply").rgb.astype(int)
+    red = rgb[:, 0] - rgb[:, 2]
+    assert rgb.std() > 20 and (np.abs(red) > 20).mean() > 0.05  # the kitchen's red cupboards, among others
+
+
 def test_a_mesh_needs_depth(data_dir, tmp_path):
     with pytest.raises(ConfigError, match="mesh needs a depth sensor or a stereo pair"):
         run_slam(data_dir / "slam" / "kitti00_mono", tmp_path / "out", mesh=True, max_frames=3)

@@ -34,11 +34,11 @@ module.{function} = killed
 surface({source!r}, {out!r}, **{options!r})
 """
 STAGES = [
-    ("epipole.pipelines.surfaces.run", "write_cloud_ply", ()),
+    ("epipole.pipelines.surfaces.cloud_files", "write_cloud_ply", ()),
     ("epipole.pipelines.surfaces.run", "write_mesh_ply", ("cloud.ply",)),
     ("epipole.pipelines.surfaces.texture_stage", "write_glb", ("cloud.ply", "mesh.ply")),
     (
-        "epipole.pipelines.surfaces.survey_stage",
+        "epipole.pipelines.surfaces.cloud_files",
         "write_laz_chunks",  # the last of the stage
         ("cloud.ply", "mesh.ply", "textured.glb"),
     ),

@@ -16,7 +16,9 @@ import trimesh
 from benchmarks.tasks.surfaces import prepare_scene
 from scipy.spatial import cKDTree
 
+import epipole
 from epipole import SurfaceConfig, surface
+from epipole.cameras import Camera
 from epipole.cli.main import main
 from epipole.errors import (
     ConfigError,
@@ -25,14 +27,20 @@ from epipole.errors import (
     NoModelError,
     WorkspaceError,
 )
+from epipole.geometry import Rigid3
 from epipole.io.colmap.model import read_colmap_model, write_colmap_model
 from epipole.io.images.rgba import write_png
 from epipole.io.meshes.gltf import read_glb
 from epipole.io.meshes.mesh_ply import read_mesh_ply
 from epipole.io.meshes.ply import read_points_ply
+from epipole.io.models.images import ModelImage
 from epipole.io.models.transforms import write_transforms
+from epipole.io.survey.point_clouds import read_laz
 from epipole.pipelines.surfaces import depth_stage
+from epipole.pipelines.surfaces.depth_views import read_depth_views
+from epipole.pipelines.surfaces.inputs import cropped_notes
 from epipole.pipelines.surfaces.scene import scene as viewer_scene
+from epipole.pipelines.surfaces.view_files import ViewFile, pinhole_of, shown_fraction
 from epipole.runs import overwriting
 
 VIEWS = 8
@@ -145,8 +153,67 @@ def test_it_ends_at_the_requested_stage(scene, tmp_path):
     assert not (found.out / "cloud.ply").exists()  # it may be of other depths
     with pytest.raises(ConfigError, match="is the output of `epipole surface`"):
         surface(found.out, tmp_path / "again")
-    with pytest.raises(FileFormatError, match=r"report\.html shows"):
-        viewer_scene(found.out)
+    shown = viewer_scene(found.out)  # the model's points, and depth for each camera
+    assert shown.mesh is None and len(shown.points[0].xyz_in_world) and shown.cameras.load_depth is not None
+    with pytest.raises(FileFormatError, match="`epipole view` shows the depth"):
+        epipole.load(found.out)
+
+
+def test_the_depth_of_each_image_is_listed_with_its_camera(done, scene):
+    views = read_depth_views(done.out)
+    assert [view.name for view in views] == sorted(scene.names)
+    cloud = cKDTree(read_points_ply(done.out / "cloud.ply").xyz)
+    for view in views[:3]:
+        depth = view.depth().depth
+        row, column = np.nonzero(depth > 0)
+        rays = view.camera.unproject(np.stack([column, row], axis=1).astype(float))
+        in_cam = rays / rays[:, 2:] * depth[row, column, None]
+        distance, _ = cloud.query(view.cam_from_world.inverse().apply(in_cam)[::50])
+        assert np.median(distance) < 0.02  # of a scene of several meters
+    cameras = viewer_scene(done.out).cameras
+    image, colored = (load(views[0].name) for load in (cameras.load_image, cameras.load_depth))
+    assert image.shape == colored.shape and (colored.std(axis=2)[views[0].depth().depth > 0] > 5).mean() > 0.9
+    assert cameras.load_depth("no such image") is None
+
+
+def test_a_damaged_list_of_depths_is_named(done, tmp_path):
+    for name in ("depths.json", "epipole.json"):
+        shutil.copyfile(done.out / name, tmp_path / name)
+    content = json.loads((done.out / "depths.json").read_text())
+    content["views"][0]["file"] = "../elsewhere.npz"
+    (tmp_path / "depths.json").write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match=r"depths\.json: a view is damaged: .*elsewhere"):
+        read_depth_views(tmp_path)
+    content["views"] = 3
+    (tmp_path / "depths.json").write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match="no list of views"):
+        read_depth_views(tmp_path)
+
+
+def test_the_cloud_is_also_written_as_laz(scene, done, tmp_path):
+    out = surface(scene.folder, tmp_path / "out", until="cloud", max_size_px=192, laz=True).out
+    found, cloud = read_laz(out / "cloud.laz"), read_points_ply(out / "cloud.ply")
+    assert found.crs is None and found.sigma is not None
+    np.testing.assert_allclose(found.points, cloud.xyz, atol=1e-3)
+    np.testing.assert_array_equal(found.rgb, cloud.rgb)
+    surface(scene.folder, out, until="cloud", max_size_px=192)
+    assert not (out / "cloud.laz").exists()
+    with pytest.raises(ConfigError, match="laz needs the cloud"):
+        SurfaceConfig(laz=True, until="depth")
+
+
+def test_images_of_which_little_can_be_undistorted_are_said(tmp_path):
+    def views(model, params):
+        camera = Camera(model, 384, 256, params)
+        image = ModelImage(tmp_path / "a.jpg", camera, 1)
+        return [ViewFile("a.jpg", image, pinhole_of(camera, 384), Rigid3.identity(), None, None, "")]
+
+    focal = 384 / np.pi  # 180 degrees from left to right
+    fisheye = views("OPENCV_FISHEYE", [focal, focal, 191.5, 127.5, 0, 0, 0, 0])
+    plain = views("OPENCV", [300, 300, 191.5, 127.5, -0.2, 0.05, 0, 0])
+    assert cropped_notes(plain) == [] and shown_fraction(plain[0].image.camera) > 0.8
+    (told,) = cropped_notes([*plain, *fisheye])
+    assert told.startswith("1 of 2 images have a very wide field of view") and "71 degrees" in told
 
 
 def test_large_coordinates_give_the_same_mesh(scene, done, tmp_path):

@@ -211,6 +211,7 @@ def _cameras(data: SpaceData, layer: CameraLayer, origin: np.ndarray, extent: Ex
         "axes": data.put("camera-axes", rotations[:, [0, 2]].astype("<f4")),
         "corners": data.put("camera-corners", corners.astype("<f4")),
         "images": None,
+        "depths": None,
     }
 
 

@@ -70,6 +70,8 @@ class CameraLayer:
     sizes: Int64[np.ndarray, "n 2"]
     """Width and height in pixels."""
     load_image: LoadImage | None = None
+    load_depth: LoadImage | None = None
+    """Returns the depth of a camera as colors, at the pixels of its image."""
     is_shown: bool = True
     """Whether the layer is visible initially."""
 

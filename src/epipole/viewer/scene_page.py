@@ -17,6 +17,8 @@ PAGE_BYTES, LEAST_BYTES, MOST_IMAGES = 130_000, 30_000, 40
 """Bytes for scripts and styles, least bytes of the mesh, and number of camera images, in such a page."""
 IMAGE_ADDRESS = "picture/"
 """Address of a served image, before the camera's number."""
+DEPTH_ADDRESS = "depth/"
+"""The same of a depth image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +59,7 @@ def _smaller(scene: SpaceScene, most: int, image_bytes: int) -> SpaceScene:
 
 
 def served_page(scene: SpaceScene, live: dict[str, Any] | None = None) -> tuple[str, SpaceData]:
-    """A page for a server that has the bytes at `data/NAME` and the cameras' images below `IMAGE_ADDRESS`.
+    """A page for a server that has the bytes at `data/NAME`, and images below `IMAGE_ADDRESS` and `DEPTH_ADDRESS`.
 
     Args:
         scene: the scene.
@@ -65,8 +67,12 @@ def served_page(scene: SpaceScene, live: dict[str, Any] | None = None) -> tuple[
     """
     data = space_data(scene)
     data.numbers["live"] = live
-    if scene.cameras is not None and scene.cameras.load_image is not None:
-        data.numbers["cameras"]["images"] = [f"{IMAGE_ADDRESS}{k}" for k in range(len(scene.cameras.names))]
+    if scene.cameras is not None:
+        of_cameras, numbers = data.numbers["cameras"], range(len(scene.cameras.names))
+        if scene.cameras.load_image is not None:
+            of_cameras["images"] = [f"{IMAGE_ADDRESS}{k}" for k in numbers]
+        if scene.cameras.load_depth is not None:
+            of_cameras["depths"] = [f"{DEPTH_ADDRESS}{k}" for k in numbers]
     return _html(scene, data, scene.words, {}, served=True), data
 
 

@@ -13,7 +13,7 @@ from epipole.report.space_scene import SpaceScene
 from epipole.viewer.handle import ViewerHandle, serve
 from epipole.viewer.page_server import BYTES, HTML, JPEG, PageServer, Request, Served, fixed
 from epipole.viewer.ports import note_on_port, port_for
-from epipole.viewer.scene_page import IMAGE_ADDRESS, served_page
+from epipole.viewer.scene_page import DEPTH_ADDRESS, IMAGE_ADDRESS, served_page
 
 
 def view_scene(
@@ -51,10 +51,11 @@ def scene_pages(
     pages = {"": fixed(HTML, html.encode("utf-8"))}
     pages |= {f"data/{name}": fixed(BYTES, block_) for name, block_ in data.blocks.items()}
     cameras = scene.cameras
-    if cameras is not None and cameras.load_image is not None:
-        for k, name in enumerate(cameras.names):
-            make = partial(_image, partial(small_jpeg, cameras.load_image, name))
-            pages[f"{IMAGE_ADDRESS}{k}"] = Served(JPEG, make)
+    if cameras is not None:
+        for address, load in ((IMAGE_ADDRESS, cameras.load_image), (DEPTH_ADDRESS, cameras.load_depth)):
+            if load is not None:
+                for k, name in enumerate(cameras.names):
+                    pages[f"{address}{k}"] = Served(JPEG, partial(_image, partial(small_jpeg, load, name)))
     return pages, np.array(data.numbers["origin"], np.float64)
 
 

@@ -65,6 +65,8 @@ def _show(result: SurfaceResult) -> None:
     if "num_points" in summary:
         table.add_row("cloud", f"{summary['num_points']:,} points")
         files["cloud"] = result.out / "cloud.ply"
+        if (result.out / "cloud.laz").is_file():
+            files["cloud as LAZ"] = result.out / "cloud.laz"
     if "num_faces" in summary:
         removed = ""
         if summary["num_parts_removed"]:
@@ -89,7 +91,6 @@ def _show(result: SurfaceResult) -> None:
             "ground": result.out / "dtm.tif",
             "contour lines": result.out / "contours.gpkg",
             "orthophoto": result.out / "orthophoto.tif",
-            "points on the map": result.out / "cloud.laz",
         }
     table.add_row("time", f"{summary['seconds']:.1f} s")
     console.print(table)

@@ -39,10 +39,12 @@ class SurfaceConfig:
     """Width of the texture, and its largest height."""
     formats: tuple[Literal["glb", "obj", "ply", "usdz"], ...] = ("glb",)
     """Formats of the textured mesh."""
+    laz: bool = False
+    """Also write the cloud as LAZ, in the coordinate system of `crs` if the model has a position on Earth."""
     resolution_m: float | None = None
     """survey: side of a cell. Default: a pixel at the median depth, rounded up to 1, 2 or 5 times a power of ten."""
     crs: str | None = None
-    """survey: coordinate system, such as EPSG:25832. Default: UTM."""
+    """survey and laz: coordinate system, such as EPSG:25832. Default: UTM."""
     crop: tuple[float, float, float, float] | None = None
     """survey: west, south, east and north border in the coordinate system."""
     contour_m: float | None = None
@@ -73,6 +75,8 @@ class SurfaceConfig:
             raise ConfigError(f"texture_px must be from 256 to 16384, got {self.texture_px}")
         if not self.formats:
             raise ConfigError("formats must name at least one format of the textured mesh")
+        if self.laz and self.until == "depth":
+            raise ConfigError("laz needs the cloud: pass until=cloud or a later stage")
         if self.resolution_m is not None and not self.resolution_m > 0:
             raise ConfigError(f"resolution_m must be positive, got {self.resolution_m}")
         if self.crop is not None and not (self.crop[0] < self.crop[2] and self.crop[1] < self.crop[3]):

@@ -17,7 +17,7 @@ from epipole.io.models.losses import losses_in, losses_of
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.pipelines.surfaces.config import SurfaceConfig
 from epipole.pipelines.surfaces.image_check import failures_of
-from epipole.pipelines.surfaces.view_files import ViewFile, pinhole_of
+from epipole.pipelines.surfaces.view_files import ViewFile, pinhole_of, shown_fraction
 from epipole.runs import Run, content_digests, digest, is_output_of
 from epipole.runs.model_source import ModelSource, is_model, model_source_of, up_in_world
 from epipole.scene import Reconstruction
@@ -25,6 +25,8 @@ from epipole.scene import Reconstruction
 MODEL = "sfm"
 """Subfolder of the model of photographs that are reconstructed first."""
 DIGESTS = "files.npz"
+LEAST_SHOWN = 0.7
+"""Part of an image below which the part that undistortion leaves out is reported."""
 MOST_POINTS = 10_000
 """Points without observations that are used, at most: an evenly spaced subset."""
 
@@ -65,6 +67,7 @@ def surface_inputs(source: Path, run: Run, config: SurfaceConfig) -> SurfaceInpu
     found, lost = _model_of(source, run, config)
     warnings = [*lost, *found.warnings]
     views = _view_files(found, run, config, warnings)
+    warnings += cropped_notes(views)
     if len(views) < 2:
         reasons = "".join(f"; {warning}" for warning in warnings[:3])
         raise NoModelError(f"{len(views)} images can be used, but a surface needs at least two{reasons}")
@@ -179,6 +182,20 @@ def _view_files(found: ModelSource, run: Run, config: SurfaceConfig, warnings: l
         )
         views.append(ViewFile(name, image, pinhole, motion, mask, limits, key))
     return views
+
+
+def cropped_notes(views: list[ViewFile]) -> list[str]:
+    """A warning if undistorted images show much less than the images."""
+    first = {view.image.camera.params.tobytes(): view for view in reversed(views)}
+    shown = {key: shown_fraction(view.image.camera) for key, view in first.items()}
+    less = [view for view in views if shown[view.image.camera.params.tobytes()] < LEAST_SHOWN]
+    if not less:
+        return []
+    part = min(shown[view.image.camera.params.tobytes()] for view in less)
+    return [
+        f"{len(less)} of {len(views)} images have a very wide field of view, and only the middle {100 * part:.0f} % of their pixels are used: depth is"
+        f" computed in undistorted images, which show at most 71 degrees to each side ({less[0].name})"
+    ]
 
 
 def _masks_missing(folder: Path, mask_of_image: dict[str, Path | None], warnings: list[str]) -> list[str]:

@@ -20,6 +20,7 @@ class SurfaceKeywords(TypedDict, total=False):
     faces: int | None
     texture_px: int
     formats: tuple[Literal["glb", "obj", "ply", "usdz"], ...]
+    laz: bool
     resolution_m: float | None
     crs: str | None
     crop: tuple[float, float, float, float] | None

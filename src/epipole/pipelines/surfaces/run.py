@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack
 
 from epipole._checks import as_path
 from epipole.config import options_of
-from epipole.dense.fusion import DensePoints
 from epipole.dense.volume_building import median_pixel
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, WorkspaceError
 from epipole.io.files import missing_in_words
-from epipole.io.meshes.cloud_ply import Columns, write_cloud_ply
 from epipole.io.meshes.mesh_ply import write_mesh_ply
 from epipole.io.meshes.usd import require_usd
-from epipole.pipelines.surfaces.cloud_stage import cloud_units, points_in
+from epipole.io.survey.point_clouds import require_laspy
+from epipole.pipelines.surfaces.cloud_files import write_laz, write_ply
+from epipole.pipelines.surfaces.cloud_stage import cloud_units
 from epipole.pipelines.surfaces.config import STAGES, SurfaceConfig
 from epipole.pipelines.surfaces.depth_stage import depth_units
+from epipole.pipelines.surfaces.depth_views import DEPTHS, depth_views_text
 from epipole.pipelines.surfaces.inputs import SurfaceInputs, surface_inputs
 from epipole.pipelines.surfaces.mesh_stage import depth_images, first_view, mesh_of
 from epipole.pipelines.surfaces.options import SurfaceKeywords
 from epipole.pipelines.surfaces.page import render_page
 from epipole.pipelines.surfaces.results import depth_figures, summary_of
 from epipole.pipelines.surfaces.survey_stage import (
+    check_map,
     check_survey,
+    crs_of,
     notes_on_cells,
     require_survey_packages,
     write_survey,
@@ -46,9 +48,6 @@ from epipole.runs import (
 from epipole.scene import Mesh
 from epipole.scene.notebook import table_html
 from epipole.scene.textured_mesh import TexturedMesh
-
-SAMPLE = 100_000
-"""Points of the cloud in the report, at most about twice as many."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +117,8 @@ def surface(
             inputs = surface_inputs(source, run, wanted)
             if wanted.until == "survey":
                 run.warnings += check_survey(inputs, wanted)
+            elif wanted.laz and inputs.model.georeference is not None:
+                run.warnings += check_map(inputs.model.georeference, wanted)
         run.warnings += inputs.warnings
         try:
             return _surface_of(inputs, wanted, run)
@@ -151,6 +152,8 @@ def _require_packages(config: SurfaceConfig) -> None:
     """
     if config.until == "survey":
         require_survey_packages()
+    if config.laz:
+        require_laspy()
     if "usdz" in config.formats and STAGES.index(config.until) >= STAGES.index("texture"):
         require_usd()
 
@@ -162,6 +165,8 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
         run.do(list(depths.values()), "depth")
         figures = depth_figures(inputs, depths)
         figures.require_depth()
+    with run.folder.publish("depth") as aside:
+        (aside / DEPTHS).write_text(depth_views_text(inputs, depths, run.root), encoding="utf-8")
     _withdraw("cloud", run)
     facts: dict[str, Any] = {}
     clouds, mesh, sample = dict[int, Unit](), None, None
@@ -169,7 +174,11 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
         with run.stage("cloud"):
             clouds = cloud_units(inputs, depths, units / "cloud")
             run.do(list(clouds.values()), "cloud")
-            facts["num_points"], sample = _write_cloud(clouds, run)
+            with run.folder.publish("cloud") as aside:
+                facts["num_points"], sample = write_ply(aside, clouds)
+                if _has_laz(config):
+                    origin = inputs.model.georeference
+                    write_laz(aside, clouds, origin, None if origin is None else crs_of(origin, config))
     if last >= STAGES.index("mesh"):
         with run.stage("mesh"):
             mesh, figures_of_mesh = mesh_of(inputs, depths, clouds, config, run)
@@ -195,6 +204,11 @@ def _surface_of(inputs: SurfaceInputs, config: SurfaceConfig, run: Run) -> Surfa
         (aside / "report.html").write_text(page, encoding="utf-8", errors="replace")
     run.finish(summary)
     return SurfaceResult(run.root, mesh, summary, tuple(run.warnings))
+
+
+def _has_laz(config: SurfaceConfig) -> bool:
+    """Whether the cloud stage writes LAZ; the survey writes its own, cropped."""
+    return config.laz and config.until != "survey"
 
 
 def _withdraw(first: str, run: Run) -> None:
@@ -236,19 +250,3 @@ def _texture_facts(textured: TexturedMesh, pixel: float, config: SurfaceConfig, 
             f"{results} coarser than the images: a texel is as large as {texel / pixel:.1f} pixels of the depth images; pass a larger texture (--texture-px, now {config.texture_px})"
         )
     return {"texture_size_px": [width, height], "texel": texel}
-
-
-def _write_cloud(clouds: dict[int, Unit], run: Run) -> tuple[int, DensePoints]:
-    """Write `cloud.ply`; returns the number of points, and a sample of them."""
-    row = list(clouds.values())
-    count = sum(len(points) for points in points_in(row))
-    step, parts = max(1, count // SAMPLE), list[DensePoints]()
-
-    def columns() -> Iterator[Columns]:
-        for points in points_in(row):
-            parts.append(points.every(step))
-            yield points.points_in_world, points.normals, points.rgb, points.sigma
-
-    with run.folder.publish("cloud") as aside:
-        write_cloud_ply(aside / "cloud.ply", columns(), count)
-    return count, DensePoints.joined(parts)

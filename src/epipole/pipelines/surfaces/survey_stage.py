@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,9 +22,9 @@ from epipole.io.survey.coordinate_systems import (
     is_in_area_of_use,
     utm_zone,
 )
-from epipole.io.survey.point_clouds import LazChunk, require_laspy, write_laz_chunks
+from epipole.io.survey.point_clouds import require_laspy
 from epipole.io.survey.rasters import Raster, require_rasterio, write_geotiff
-from epipole.pipelines.surfaces.cloud_stage import points_in
+from epipole.pipelines.surfaces.cloud_files import write_laz
 from epipole.pipelines.surfaces.config import SurfaceConfig
 from epipole.pipelines.surfaces.inputs import SurfaceInputs
 from epipole.pipelines.surfaces.survey_extent import cells_within, check_cells, check_extent
@@ -76,9 +76,21 @@ def check_survey(inputs: SurfaceInputs, config: SurfaceConfig) -> list[str]:
         FileFormatError: the coordinate system is unknown.
     """
     origin = require_georeference(inputs, config)
+    notes = check_map(origin, config)
+    check_extent(inputs, origin, crs_of(origin, config), config)
+    return notes
+
+
+def check_map(origin: Georeference, config: SurfaceConfig) -> list[str]:
+    """Check that the coordinate system suits a position, before depth is computed; returns warnings.
+
+    Raises:
+        ConfigError: lengths in the coordinate system are not those on the ground.
+        MissingDependencyError: pyproj is not installed.
+        FileFormatError: the coordinate system is unknown.
+    """
     crs = crs_of(origin, config)
     _check_scale(origin, crs)
-    check_extent(inputs, origin, crs, config)
     if is_in_area_of_use(crs, origin.lat_deg, origin.lon_deg):
         return []
     return [
@@ -163,7 +175,7 @@ def write_survey(
         write_geotiff(folder / name, raster)
     interval = config.contour_m or default_interval(terrain)
     write_contours(folder / "contours.gpkg", _smooth(terrain), interval)
-    write_laz_chunks(folder / "cloud.laz", _chunks(clouds, origin, crs, config.crop), crs=crs)
+    write_laz(folder, clouds, origin, crs, config.crop)
     height, width = seen.height.shape
     facts: dict[str, Any] = {"crs": crs, "resolution_m": resolution, "raster_size": [width, height]}
     facts |= {"gsd_m": pixel_m * inputs.image_scale, "contour_m": interval}
@@ -226,20 +238,6 @@ def _smooth(terrain: Raster) -> Raster:
     weight = cv2.GaussianBlur(known, (0, 0), SMOOTH_CELLS)
     with np.errstate(invalid="ignore", divide="ignore"):
         return replace(terrain, values=np.where(known > 0, total / weight, np.float32(np.nan)))
-
-
-def _chunks(
-    clouds: Mapping[int, Unit],
-    origin: Georeference,
-    crs: str,
-    crop: tuple[float, float, float, float] | None,
-) -> Iterator[LazChunk]:
-    west, south, east, north = crop or (-np.inf, -np.inf, np.inf, np.inf)
-    for points in points_in(list(clouds.values())):
-        if len(points):
-            xyz = coordinates_of(origin.lat_lon_alt_of(points.points_in_world), crs)
-            kept = (xyz[:, 0] >= west) & (xyz[:, 0] <= east) & (xyz[:, 1] >= south) & (xyz[:, 1] <= north)
-            yield LazChunk(xyz[kept], points.rgb[kept], points.sigma[kept])
 
 
 def _rounded(length: float) -> float:

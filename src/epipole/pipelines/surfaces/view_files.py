@@ -12,13 +12,15 @@ import numpy as np
 from epipole.cameras import Camera
 from epipole.dense.view import DenseView
 from epipole.geometry import Rigid3
-from epipole.image import undistort_image, undistorted_camera
+from epipole.image import undistort_image, undistort_points, undistorted_camera
 from epipole.io.images.photographs import GrayRange, read_mask_file
 from epipole.io.images.rgba import read_rgba
 from epipole.io.models.images import ModelImage
 
 OPAQUE = 128
 """Least alpha of pixels that are used."""
+_GRID = 33
+"""Pixels along each side of an image that are undistorted to see how much of it remains."""
 CACHED_VIEWS = 24
 """Views kept in memory: neighbors share most of their sources."""
 
@@ -49,6 +51,18 @@ def pinhole_of(camera: Camera, max_size_px: int) -> Camera:
     if factor <= 1.0:
         return full
     return full.scaled_to(max(1, round(full.width / factor)), max(1, round(full.height / factor)))
+
+
+def shown_fraction(camera: Camera) -> float:
+    """Part of a camera's image that its undistorted image shows: a plane cannot show a fisheye's border."""
+    x, y = np.meshgrid(np.linspace(0, camera.width - 1, _GRID), np.linspace(0, camera.height - 1, _GRID))
+    pinhole = undistorted_camera(camera)
+    pixels = undistort_points(np.stack([x.ravel(), y.ravel()], axis=1), camera, pinhole)
+    with np.errstate(invalid="ignore"):
+        inside = (pixels > -0.5).all(axis=1) & (pixels < [pinhole.width - 0.5, pinhole.height - 0.5]).all(
+            axis=1
+        )
+    return float(inside.mean())
 
 
 @lru_cache(maxsize=CACHED_VIEWS)

@@ -58,6 +58,7 @@ async function spaceView(canvas, data) {
     mostRatio: 2, // pixels of the canvas to one of the page
     frustum: 1,
     opacity: 0.5,
+    picture: data.cameras && !data.cameras.images ? "depths" : "images", // of the chosen camera
     shown: drawn.shown,
     limits: data.points.map(() => [0, 1, 0, 1]),
     colorBy: 0,
@@ -317,7 +318,7 @@ async function spaceView(canvas, data) {
     view.flyTo(start());
   }
   function showPicture(k) {
-    const address = (data.cameras.images || [])[k];
+    const address = (data.cameras[look.picture] || [])[k];
     drawn.picture.of = -1;
     if (!address) return;
     const image = new Image();
@@ -396,6 +397,12 @@ async function spaceView(canvas, data) {
     redraw,
     placeAt,
     stepCamera,
+    changePicture(kind) {
+      look.picture = kind;
+      tools.showCamera(chosen);
+      if (chosen >= 0) showPicture(chosen);
+      redraw();
+    },
     reset,
     above() {
       const o = data.lookAt.map((v, k) => v + 3 * data.radius * frame[2][k]),

@@ -106,7 +106,11 @@ function fillLegend(list, data, look) {
   );
 }
 
-function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, above, snapshot }) {
+function spaceTools(
+  canvas,
+  data,
+  { look, redraw, placeAt, stepCamera, changePicture, reset, above, snapshot },
+) {
   const marks = byId("space-marks"),
     measured = byId("measured"),
     measureButton = byId("measure");
@@ -138,6 +142,8 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
   follow("point-size", (value) => (look.pointPx = value));
   follow("frustum-size", (value) => (look.frustum = value));
   follow("picture-opacity", (value) => (look.opacity = value));
+  const kind = byId("picture-kind");
+  if (kind) kind.addEventListener("change", () => changePicture(kind.value));
   follow("point-color", (value) => {
     look.colorBy = value;
     legend();
@@ -296,10 +302,12 @@ function spaceTools(canvas, data, { look, redraw, placeAt, stepCamera, reset, ab
     if (label)
       label.textContent = k < 0 ? "" : `${k + 1} of ${data.cameras.names.length}: ${data.cameras.names[k]}`;
     if (!byId("camera-picture")) return;
-    byId("camera-picture").hidden = k < 0 || !data.cameras.images[k];
-    if (!byId("camera-picture").hidden) {
-      byId("camera-picture").src = data.cameras.images[k];
-      byId("camera-picture").alt = `The image of ${data.cameras.names[k]}`;
+    const address = k < 0 ? null : (data.cameras[look.picture] || [])[k];
+    byId("camera-picture").hidden = !address;
+    if (address) {
+      byId("camera-picture").src = address;
+      byId("camera-picture").alt =
+        `The ${look.picture === "depths" ? "depth" : "image"} of ${data.cameras.names[k]}`;
     }
   }
   return { mark, measureAt, isMeasuring, setMeasuring, showCamera };

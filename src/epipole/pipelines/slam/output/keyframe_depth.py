@@ -1,4 +1,4 @@
-"""Depth, standard deviation and gray values of a frame, from its depth sensor or by stereo matching."""
+"""Depth, standard deviation and colors of a frame, from its depth sensor or by stereo matching."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ MOST_SIGMA = 0.02
 
 
 class DepthOfFrame(NamedTuple):
-    """Arrays (h, w) at the pixels of a pinhole camera; NaN where the depth is unknown."""
+    """Arrays (h, w), and colors (h, w, 3), at the pixels of a pinhole camera; NaN where the depth is unknown."""
 
     depth: np.ndarray
     """Meters along the optical axis."""
     sigma: np.ndarray
-    gray: np.ndarray
+    rgb: np.ndarray
 
 
 def depth_reader(
@@ -82,35 +82,35 @@ class SensorReader:
         """From the tracked camera."""
         return self.sensor.depth_from_color
 
-    def read(self, frame: Frame) -> DepthOfFrame:
-        """Depth of a frame; pixels whose point the mask of the color image excludes are unknown."""
+    def read(self, frame: Frame, rgb: np.ndarray) -> DepthOfFrame:
+        """Depth of a frame; pixels whose point the mask of the color image `rgb` excludes are unknown."""
         assert frame.depth is not None
         framed = np.pad(frame.depth, 1, constant_values=np.nan)  # what is outside
         raw = framed[self.source_px[..., 1], self.source_px[..., 0]]
         with np.errstate(invalid="ignore"):
             depth = np.where(raw > 0, raw * np.float32(self.sensor.scale), np.float32(np.nan))
         sigma = np.float32(SENSOR_SIGMA) * depth * depth
-        gray, is_used = self._colors(frame, depth)
-        return _known(depth, sigma, gray, is_used & np.isfinite(depth) & ~_is_edge(depth))
+        colors, is_used = self._colors(frame, rgb, depth)
+        return _known(depth, sigma, colors, is_used & np.isfinite(depth) & ~_is_edge(depth))
 
-    def _colors(self, frame: Frame, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(h, w) gray value of the point of each pixel in the color image, and whether its mask keeps it; true outside."""
-        gray, is_used = np.full(depth.shape, 128, np.uint8), np.ones(depth.shape, bool)
+    def _colors(self, frame: Frame, rgb: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(h, w, 3) color of the point of each pixel in the color image, and whether its mask keeps it; true outside."""
+        colors, is_used = np.full((*depth.shape, 3), 128, np.uint8), np.ones(depth.shape, bool)
         rows = np.flatnonzero(np.isfinite(depth))
         points = self.rays[rows] * depth.ravel()[rows, None].astype(np.float64)
         in_cam = self.depth_from_cam.inverse().apply(points)
         pixels = self.color.project(in_cam)
-        height, width = frame.gray.shape
+        height, width = rgb.shape[:2]
         inside = (
             (in_cam[:, 2] > 0)
             & (pixels > -0.5).all(axis=1)
             & (pixels < [width - 0.5, height - 0.5]).all(axis=1)
         )
         column, row = np.rint(pixels[inside]).astype(np.int64).T
-        gray.ravel()[rows[inside]] = frame.gray[row, column]
+        colors.reshape(-1, 3)[rows[inside]] = rgb[row, column]
         if frame.ignored_mask is not None:
             is_used.ravel()[rows[inside]] = ~frame.ignored_mask[row, column]
-        return gray, is_used
+        return colors, is_used
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,8 +123,8 @@ class PairReader:
     right_shift_px: float
     depth_from_cam: Rigid3 = field(default_factory=Rigid3.identity)
 
-    def read(self, frame: Frame) -> DepthOfFrame:
-        """Depth of a frame; masked pixels are unknown."""
+    def read(self, frame: Frame, rgb: np.ndarray) -> DepthOfFrame:
+        """Depth of a frame with the colors `rgb`; masked pixels are unknown."""
         assert frame.right_gray is not None
         largest = min(int(np.ceil(self.largest_disparity_px)), frame.gray.shape[1] - 1)
         found = match_stereo(frame.gray, frame.right_gray, DisparityConfig(max_disparity_px=largest))
@@ -135,15 +135,15 @@ class PairReader:
             good = np.isfinite(depth) & (disparity > 0)
         if frame.ignored_mask is not None:
             good &= ~frame.ignored_mask
-        return _known(depth, sigma, frame.gray, good)
+        return _known(depth, sigma, rgb, good)
 
 
-def _known(depth: np.ndarray, sigma: np.ndarray, gray: np.ndarray, good: np.ndarray) -> DepthOfFrame:
+def _known(depth: np.ndarray, sigma: np.ndarray, rgb: np.ndarray, good: np.ndarray) -> DepthOfFrame:
     nan = np.float32(np.nan)
     with np.errstate(invalid="ignore"):
         good = good & (sigma <= MOST_SIGMA * depth)
     return DepthOfFrame(
-        np.where(good, depth, nan).astype(np.float32), np.where(good, sigma, nan).astype(np.float32), gray
+        np.where(good, depth, nan).astype(np.float32), np.where(good, sigma, nan).astype(np.float32), rgb
     )
 
 

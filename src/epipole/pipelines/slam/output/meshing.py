@@ -79,7 +79,7 @@ def _write(folder: Path, mesh: Mesh, system: Slam) -> None:
 
 
 def _mesh_of_keyframes(source: FrameSource, system: Slam, aside: Path, run: Run) -> tuple[Mesh, float]:
-    """The surface that the new keyframes of the first map see, and the side of its voxels; vertices are gray, as the images of SLAM.
+    """The surface that the new keyframes of the first map see, and the side of its voxels; vertices have the colors of the frames.
 
     Raises:
         DegenerateGeometryError: no keyframe has depth, or there is no surface.
@@ -98,8 +98,8 @@ def _mesh_of_keyframes(source: FrameSource, system: Slam, aside: Path, run: Run)
         images = [DepthImage(camera, pose, partial(_read, path)) for camera, pose, path in rows]
         volume = build_volume(images, None, lambda done, total: run.report("mesh", done, total))
         found = volume.mesh().without_small_components(LEAST_COMPONENT)
-        gray = (ColorImage(camera, pose, _rgb(path), _read(path).depth) for camera, pose, path in rows)
-        rgb = vertex_colors(found.vertices_in_world, gray)
+        colors = (ColorImage(camera, pose, _rgb(path), _read(path).depth) for camera, pose, path in rows)
+        rgb = vertex_colors(found.vertices_in_world, colors)
     return replace(found, rgb=rgb), volume.voxel
 
 
@@ -114,7 +114,9 @@ def _stored(
             if pose is None:
                 continue
             path = folder / f"{queued.number:06d}.npz"
-            np.savez(path, **reader.read(queued.read())._asdict())
+            frame = queued.read()
+            gray = partial(np.repeat, frame.gray[..., None], 3, axis=2)
+            np.savez(path, **reader.read(frame, (queued.read_rgb or gray)())._asdict())
             yield reader.camera, reader.depth_from_cam @ pose, path
             num += 1
             run.report("depth", num, len(poses))
@@ -132,4 +134,4 @@ def _read(path: Path) -> ViewDepth:
 
 def _rgb(path: Path) -> np.ndarray:
     with np.load(path) as stored:
-        return np.repeat(stored["gray"][..., None], 3, axis=2)
+        return np.asarray(stored["rgb"])

@@ -18,7 +18,15 @@ from epipole.errors import ConfigError, EpipoleError, FileFormatError, ShapeErro
 from epipole.geometry import Rigid3
 from epipole.image.undistort import undistorted_camera, undistortion_map_px
 from epipole.io.images.depth_maps import read_png16
-from epipole.io.images.photographs import GrayRange, common_range, mask_of, read_gray, read_header, read_mask
+from epipole.io.images.photographs import (
+    GrayRange,
+    common_range,
+    mask_of,
+    read_gray,
+    read_header,
+    read_mask,
+    read_rgb,
+)
 from epipole.io.sequences.sequence import CALIBRATION_NOT_USED, FrameFiles, ImageSequence
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera, rectification_of, require_size
 from epipole.pipelines.slam.sources.depth_range import DepthRange
@@ -43,6 +51,8 @@ class QueuedFrame:
     """Image name."""
     read: Callable[[], Frame]
     """Reads the images; raises an EpipoleError if files are damaged or do not fit each other."""
+    read_rgb: Callable[[], np.ndarray] | None = None
+    """Reads the colors at the pixels of the frame's image; None if the source gives gray values only."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +86,7 @@ class Preparation:
     """Makes a frame of seconds, the gray image, and the right gray image or depth in meters."""
     notes: Callable[[], Sequence[str]] = tuple
     flat: Callable[[np.ndarray], np.ndarray] = np.asarray
-    """Undistorts or rectifies a gray image of the (left) camera in the same way."""
+    """Undistorts or rectifies a gray or RGB image of the (left) camera in the same way."""
 
 
 def of_one_camera(intrinsics: Camera) -> Preparation:
@@ -121,11 +131,11 @@ def of_depth(intrinsics: Camera, sensor: Camera | None, depth_from_color: Rigid3
     depth_camera = DepthCamera(sensor or intrinsics, depth_from_color or Rigid3.identity())
     ranges = DepthRange()
 
-    def flat_image(gray: np.ndarray) -> np.ndarray:
+    def flat_image(image: np.ndarray) -> np.ndarray:
         if table is None:
-            return gray
-        require_size("image", gray, intrinsics)
-        return cv2.remap(gray, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
+            return image
+        require_size("image", image, intrinsics)
+        return cv2.remap(image, table[..., 0], table[..., 1], cv2.INTER_LINEAR)
 
     def frame(seconds: float, gray: np.ndarray, depth: np.ndarray) -> Frame:
         gray = flat_image(gray)
@@ -185,7 +195,8 @@ def open_sequence(
         for number, files in enumerate(sequence.frames):
             plain = partial(read, rotation_tracker, files)
             masked = plain if masks is None else partial(_with_mask, plain, made, masks, files.image)
-            yield QueuedFrame(number, files.timestamp_s, files.image.name, masked)
+            colors = partial(_read_colors, made, rotation_tracker, files)
+            yield QueuedFrame(number, files.timestamp_s, files.image.name, masked, colors)
 
     return FrameSource(
         made.camera,
@@ -277,6 +288,10 @@ class _ImageRotation:
         """The gray image of the (left) camera."""
         return read_gray(files.image, limits=self._limits, orientation=self._left)
 
+    def left_rgb(self, files: FrameFiles) -> np.ndarray:
+        """The same image as RGB."""
+        return read_rgb(files.image, limits=self._limits, orientation=self._left)
+
     def right(self, files: FrameFiles) -> np.ndarray:
         """The gray image of the right camera."""
         assert files.right is not None
@@ -293,6 +308,10 @@ def _orientation_of(path: Path) -> int | None:
 
 def _read_one(made: Preparation, rotation_tracker: _ImageRotation, files: FrameFiles) -> Frame:
     return made.frame(files.timestamp_s, rotation_tracker.left(files))
+
+
+def _read_colors(made: Preparation, rotation_tracker: _ImageRotation, files: FrameFiles) -> np.ndarray:
+    return made.flat(rotation_tracker.left_rgb(files))
 
 
 def _read_pair(made: Preparation, rotation_tracker: _ImageRotation, files: FrameFiles) -> Frame:
