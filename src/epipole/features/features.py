@@ -25,6 +25,12 @@ class Features(Declared):
     def __len__(self) -> int:
         return len(self.pixels)
 
+    def largest(self, count: int) -> Features:
+        """The largest features, at most `count`."""
+        return Features(
+            self.pixels[:count], self.scale_px[:count], self.angle_rad[:count], self.descriptors[:count]
+        )
+
     def __repr__(self) -> str:
         return f"Features({len(self)} x {self.descriptors.shape[1]})"
 

@@ -45,8 +45,8 @@ CLEAR_INLIERS = 40
 """Inliers of a first pose that needs no confirmation, as nothing may be left to find; images of other scenes gave at most 11."""
 CLEAR_RATIO = 0.3
 """Fraction of the matches that these must be, too."""
-FEW_NEIGHBORS = 4
-"""Most similar images that are matched first; the others follow unless the pose is clear."""
+FEW_NEIGHBORS, FEW_FEATURES = 4, 1500
+"""Most similar images, and largest features, that are matched first; the others follow unless the pose is clear."""
 MANY_INLIERS = 150
 """Inliers of a clear first pose."""
 MOST_MATCHES = 0.5
@@ -85,10 +85,7 @@ class _FirstPose:
     @property
     def is_clear(self) -> bool:
         """Whether further matches would not change the pose: the search finds the other points."""
-        count = self.failure.num_inliers
-        return self.inliers is not None and count >= max(
-            MANY_INLIERS, MOST_MATCHES * self.failure.num_matches
-        )
+        return self.inliers is not None and _is_clear(self.failure.num_inliers, self.failure.num_matches)
 
 
 class Localizer:
@@ -168,8 +165,8 @@ class Localizer:
         if len(features) < self.config.min_inliers:
             return _failure(LocalizationReason.FEW_FEATURES, camera)
         neighbors = self.reference.most_similar(features, self.config.neighbors)
-        found = self._first_pose(features, camera, focal, neighbors[:FEW_NEIGHBORS])
-        if not found.is_clear and len(neighbors) > FEW_NEIGHBORS:
+        found = self._first_pose(features.largest(FEW_FEATURES), camera, focal, neighbors[:FEW_NEIGHBORS])
+        if not found.is_clear and (len(neighbors) > FEW_NEIGHBORS or len(features) > FEW_FEATURES):
             found = self._first_pose(features, camera, focal, neighbors)
         if found.inliers is None:
             return found.failure
@@ -196,7 +193,8 @@ class Localizer:
         else:
             first = estimate_absolute_pose(points, pixels, camera, self._ransac)
             least = max(first.num_inliers + MORE_INLIERS, MORE_INLIERS_RATIO * first.num_inliers)
-            if least < len(points):  # else a free focal length cannot have more inliers than that
+            # A free focal length cannot have more inliers than points; where most agree, the linear step in `_result` is valid.
+            if least < len(points) and not _is_clear(first.num_inliers, len(points)):
                 free, freed = resect_with_focal(points, pixels, camera, self._ransac)
                 if free.success and free.num_inliers > least:
                     other_focal_px = freed.focal_px
@@ -349,6 +347,10 @@ class Localizer:
             ~(is_inlier[pairs.point] | is_used[pairs.feature]) for pairs in (found, displaced)
         )
         return found, is_new, int(is_new_by_chance.sum())
+
+
+def _is_clear(num_inliers: int, num_matches: int) -> bool:
+    return num_inliers >= max(MANY_INLIERS, MOST_MATCHES * num_matches)
 
 
 def _one_to_one(pairs: np.ndarray) -> Matches2D3D:
