@@ -176,6 +176,19 @@ def test_the_depth_of_each_image_is_listed_with_its_camera(done, scene):
     assert cameras.load_depth("no such image") is None
 
 
+def test_a_cluster_gives_the_same_bytes(scene, tmp_path):
+    pytest.importorskip("distributed")
+    options = {"until": "cloud", "max_size_px": 128}
+    here = surface(scene.folder, tmp_path / "here", **options).out
+    there = surface(scene.folder, tmp_path / "there", cluster="local:2", shared_folder=False, **options).out
+    files = sorted(path.relative_to(here) for path in here.rglob("*") if path.suffix in (".npz", ".ply"))
+    assert len(files) > 3 * VIEWS
+    for name in files:
+        assert (here / name).read_bytes() == (there / name).read_bytes(), name
+    with pytest.raises(ConfigError, match="is no address"):
+        SurfaceConfig(cluster="nowhere")
+
+
 def test_a_damaged_list_of_depths_is_named(done, tmp_path):
     for name in ("depths.json", "epipole.json"):
         shutil.copyfile(done.out / name, tmp_path / name)

@@ -7,6 +7,7 @@ from epipole.runs.contents import content_digests as content_digests
 from epipole.runs.dispatch import run_units as run_units
 from epipole.runs.executors import ExecutorChoice as ExecutorChoice
 from epipole.runs.executors import PassedExecutor as PassedExecutor
+from epipole.runs.executors import chosen_executor as chosen_executor
 from epipole.runs.folder import OutputFolder as OutputFolder
 from epipole.runs.folder import claim as claim
 from epipole.runs.folder import has_own_model as has_own_model

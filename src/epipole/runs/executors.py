@@ -9,7 +9,7 @@ from multiprocessing import get_context
 from typing import Any, Literal
 
 from epipole import _parallel
-from epipole.runs.cluster import Cluster, Connection, connected
+from epipole.runs.cluster import Cluster, ClusterClient, Connection, connected, joined
 
 ExecutorChoice = Literal["threads", "processes", "inline"] | Executor | Cluster | Connection
 """A name, a cluster, or any `concurrent.futures.Executor`. Its workers must have epipole installed and see the output folder and the
@@ -18,6 +18,26 @@ images under the same paths. It is not shut down."""
 
 PassedExecutor = Literal["threads", "processes", "inline"] | Executor | Any
 """What the user passes: a name, an executor, or a `distributed.Client`, whose type is known only where Dask is installed."""
+
+
+def chosen_executor(
+    given: PassedExecutor | None,
+    cluster: str | None,
+    *,
+    has_shared_folder: bool,
+    default: ExecutorChoice = "threads",
+) -> ExecutorChoice:
+    """The executor that is passed, else the cluster of the options, else the default.
+
+    Raises:
+        ConfigError: the cluster is no address.
+    """
+    if isinstance(given, ClusterClient):
+        return joined(given, has_shared_folder=has_shared_folder)
+    if given is not None:
+        chosen: ExecutorChoice = given
+        return chosen
+    return default if cluster is None else Cluster(cluster, has_shared_folder)
 
 
 @contextmanager

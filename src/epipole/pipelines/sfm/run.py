@@ -34,15 +34,13 @@ from epipole.pipelines.sfm.results import write_results
 from epipole.pipelines.sfm.rigs.assignment import assign_images
 from epipole.pipelines.sfm.rigs.rig_model import with_rigs
 from epipole.runs import (
-    Cluster,
-    ClusterClient,
     ExecutorChoice,
     Job,
     PassedExecutor,
     ProgressCallback,
     Run,
+    chosen_executor,
     ignore_progress,
-    joined,
     open_run,
 )
 from epipole.runs.earlier import continue_with, note_on_poorer
@@ -208,14 +206,9 @@ def _with_rigs(
 
 def executor_of(given: PassedExecutor | None, config: ReconstructConfig) -> ExecutorChoice:
     """The executor that is passed, else the cluster of the options, else their executor."""
-    if isinstance(given, ClusterClient):
-        return joined(given, has_shared_folder=config.shared_folder)
-    if given is not None:
-        chosen: ExecutorChoice = given
-        return chosen
-    if config.cluster is not None:
-        return Cluster(config.cluster, config.shared_folder)
-    return config.executor
+    return chosen_executor(
+        given, config.cluster, has_shared_folder=config.shared_folder, default=config.executor
+    )
 
 
 def check_inputs(source: Path, config: ReconstructConfig) -> None:

@@ -49,6 +49,10 @@ class SurfaceConfig:
     """survey: west, south, east and north border in the coordinate system."""
     contour_m: float | None = None
     """survey: height between contour lines. Default: 16 to 40 lines."""
+    cluster: str | None = None
+    """Process images on a Dask cluster: tcp://HOST:PORT, tls://HOST:PORT, local:N or slurm:N."""
+    shared_folder: bool = True
+    """All machines of the cluster see images and output folder under the same paths; otherwise files are sent."""
     threads: int | None = None
     """Number of threads. Default: all cores."""
 
@@ -85,5 +89,9 @@ class SurfaceConfig:
             )
         if self.contour_m is not None and not self.contour_m > 0:
             raise ConfigError(f"contour_m must be positive, got {self.contour_m}")
+        if self.cluster is not None:
+            from epipole.runs import Cluster  # not needed for --help
+
+            Cluster(self.cluster)
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {self.threads}")

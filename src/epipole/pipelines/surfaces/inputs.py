@@ -133,7 +133,7 @@ def _model_of(source: Path, run: Run, config: SurfaceConfig) -> tuple[ModelSourc
             f"{source} has no cameras, so its images are used: pass images (--images) only with a model"
         )
     out = run.root / MODEL
-    done = reconstruct(source, out, progress=run.job.progress, masks=config.masks)
+    done = reconstruct(source, out, progress=run.job.progress, executor=run.job.executor, masks=config.masks)
     photographs = source if source.is_dir() else out / "images"
     return model_source_of(out, config.max_size_px, photographs), losses_of(done.summary, out)
 

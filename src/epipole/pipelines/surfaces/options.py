@@ -25,4 +25,6 @@ class SurfaceKeywords(TypedDict, total=False):
     crs: str | None
     crop: tuple[float, float, float, float] | None
     contour_m: float | None
+    cluster: str | None
+    shared_folder: bool
     threads: int | None

@@ -36,9 +36,11 @@ from epipole.pipelines.surfaces.texture_stage import COARSE_TEXELS, texel_side, 
 from epipole.pipelines.surfaces.view_files import view_of_file
 from epipole.runs import (
     Job,
+    PassedExecutor,
     ProgressCallback,
     Run,
     Unit,
+    chosen_executor,
     ignore_progress,
     is_output_of,
     is_overwriting,
@@ -48,6 +50,9 @@ from epipole.runs import (
 from epipole.scene import Mesh
 from epipole.scene.notebook import table_html
 from epipole.scene.textured_mesh import TexturedMesh
+
+WHERE = ("threads", "cluster", "shared_folder")
+"""Options that do not change results."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +79,8 @@ def surface(
     out: str | Path,
     config: SurfaceConfig | None = None,
     progress: ProgressCallback = ignore_progress,
+    *,
+    executor: PassedExecutor | None = None,
     **options: Unpack[SurfaceKeywords],
 ) -> SurfaceResult:
     """Reconstruct surfaces: depth of each image, a cloud of all, and a mesh.
@@ -87,6 +94,7 @@ def surface(
             `dtm.tif`, `contours.gpkg`, `orthophoto.tif` and `cloud.laz`.
         config: options; None for the defaults.
         progress: called with the progress of each stage.
+        executor: executor for images, instead of the config's choice, as for `reconstruct`.
         **options: single options by name, which override `config`: `until="cloud"`.
 
     Raises:
@@ -96,19 +104,20 @@ def surface(
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used, or the disk is full.
     """
-    wanted = options_of(SurfaceConfig, config, options, ["config", "progress"])
+    wanted = options_of(SurfaceConfig, config, options, ["config", "progress", "executor"])
     wanted = replace(wanted, images=None if wanted.images is None else wanted.images.resolve())
     source, target = as_path(source), as_path(out)
     if not source.exists():
         raise FileFormatError(source, missing_in_words(source))
     _require_packages(wanted)
     _refuse_fewer_stages(target, wanted)
-    settings = {"config": {name: value for name, value in asdict(wanted).items() if name != "threads"}}
+    settings = {"config": {name: value for name, value in asdict(wanted).items() if name not in WHERE}}
     job = Job(
         kind="surface",
         inputs=(source,),
         settings=settings,
         threads=wanted.threads,
+        executor=chosen_executor(executor, wanted.cluster, has_shared_folder=wanted.shared_folder),
         progress=progress,
         has_log=True,
     )

@@ -39,6 +39,16 @@ class ViewFile:
     fingerprint: str
     """Digest of everything that the view depends on."""
 
+    # Copies that reach a worker one after the other are the same view, which is read once.
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ViewFile) and self._identity() == other._identity()
+
+    def __hash__(self) -> int:
+        return hash(self._identity())
+
+    def _identity(self) -> tuple[str, Path, str]:
+        return self.name, self.image.path, self.fingerprint
+
 
 def pinhole_of(camera: Camera, max_size_px: int) -> Camera:
     """Undistorted camera with at most `max_size_px` on its longer side.
