@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from epipole._checks import Declared, check_index, checked
 from epipole.cameras import CameraModel
 from epipole.geometry import Rigid3
-from epipole.mapping.model_builder import ModelBuilder, rows_of_components
+from epipole.mapping.model_builder import ModelBuilder, rows_of_groups
 from epipole.mapping.point_sample import sample_points
 from epipole.optim import (
     BundleConfig,
@@ -159,7 +159,7 @@ def adjust_around(
 def _rows_with_points(model: ModelBuilder, images: Sequence[int]) -> np.ndarray:
     """Rows that have a point, of all components of the images' keypoints, in order: those of the images' points are among them."""
     own = np.concatenate([model.rows_of_image[i] for i in images])
-    rows = rows_of_components(model.components.offsets, np.unique(model.row_component[own]))
+    rows = rows_of_groups(model.components.offsets, np.unique(model.row_component[own]))
     return np.asarray(rows[model.row_point[rows] >= 0])
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Float64, Int64
 
 from epipole._checks import check_index, checked
 from epipole.mapping.match_components import check_matches, num_keypoints_in
-from epipole.mapping.model_builder import ModelBuilder, rows_of_components
+from epipole.mapping.model_builder import ModelBuilder, rows_of_groups
 from epipole.scene import Reconstruction, ViewGraph
 
 
@@ -76,7 +76,7 @@ class MatchConsistency:
         graph, sums = self._view_graph, np.zeros(2)
         for pairs in (own[image] for own in self._pairs_of_image):
             pairs = pairs[model.registered[graph.image1[pairs]] & model.registered[graph.image2[pairs]]]
-            at = rows_of_components(graph.match_offsets, pairs)
+            at = rows_of_groups(graph.match_offsets, pairs)
             point1, point2 = model.row_point[self._row1[at]], model.row_point[self._row2[at]]
             sizes = graph.match_offsets[pairs + 1] - graph.match_offsets[pairs]
             number = np.repeat(np.arange(len(pairs)), sizes)

@@ -226,7 +226,7 @@ class ModelBuilder:
             seen = self._kernel_rows(), self._kernel_cams(), self.components.offsets, components, start, stop
             limits = max_error_px**2, limit, self.longest
             count = kernels.triangulate_components(*seen, *limits, made, point_of_row)
-            rows = rows_of_components(self.components.offsets, components[start:stop])
+            rows = rows_of_groups(self.components.offsets, components[start:stop])
             rows = rows[point_of_row[rows] >= 0]
             return made[:count], rows, point_of_row[rows]
 
@@ -310,7 +310,7 @@ class ModelBuilder:
         check_index(image, "image", len(self.rows_of_image))
         rows = self.rows_of_image[image]
         component = self.row_component[rows]
-        near = rows_of_components(self.components.offsets, component)
+        near = rows_of_groups(self.components.offsets, component)
         repeats = np.diff(self.components.offsets)[component]
         owner = np.repeat(rows, repeats)
         point = self.row_point[near]
@@ -385,8 +385,8 @@ class ModelBuilder:
         return replace(model, points=replace(model.points, error_px=mean))
 
 
-def rows_of_components(offsets: np.ndarray, components: np.ndarray) -> np.ndarray:
-    """All rows of the given components, in order."""
-    counts = offsets[components + 1] - offsets[components]
-    starts = np.repeat(offsets[components] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
+def rows_of_groups(offsets: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """All rows of the given groups, such as components or pairs, in order; group k has the rows from offsets[k] to offsets[k + 1]."""
+    counts = offsets[groups + 1] - offsets[groups]
+    starts = np.repeat(offsets[groups] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
     return starts + np.arange(counts.sum())

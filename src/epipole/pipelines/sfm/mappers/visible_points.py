@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from epipole.mapping import ModelBuilder
-from epipole.mapping.model_builder import rows_of_components
+from epipole.mapping.model_builder import rows_of_groups
 
 
 class VisiblePoints:
@@ -32,7 +32,7 @@ class VisiblePoints:
         if model.components is not self._components:
             self._use_components()
         has_point = model.has_point()
-        rows = rows_of_components(
+        rows = rows_of_groups(
             model.components.offsets, np.flatnonzero(has_point != self._had_point).astype(np.int64)
         )
         self._is_outdated[model.row_image[rows]] = True
