@@ -128,7 +128,7 @@ def test_a_point_in_a_cameras_center_is_no_point(rng, depth):
     lost = int(model.row_point[0])
     mine = np.flatnonzero(model.row_point == lost)
     model.set_points(
-        np.array([lost]), positions[0].inverse().apply(CAMERA.unproject(model.row_pixel[:1]) * depth)
+        np.array([lost]), positions[0].inverse().apply(CAMERA.unproject(model.row_pixel[:1]) * depth), mine
     )
     inside = model.points[lost]
     for row in mine[1:]:  # the other views see it where it is; the first sees it wherever it likes

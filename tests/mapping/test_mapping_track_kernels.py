@@ -84,7 +84,8 @@ def test_tracks_become_points(
     builder.register(3, Rigid3(PLACES[3].rotation, PLACES[3].translation))
     builder.extend(every, 4.0)
     builder.extend(every[:0], 4.0)
-    builder.set_points(np.arange(min(made, 1)), np.array([[50.0, 0.0, 0.0]])[:made])  # behind some cameras
+    behind_some = np.array([[50.0, 0.0, 0.0]])[:made]
+    builder.set_points(np.arange(min(made, 1)), behind_some, np.flatnonzero(builder.row_point == 0))
     builder.filter(4.0, 0.01)
     builder.filter(0.2, 0.3)
     assert made > num_points // 2 or num_points == 1

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from sfm_rings import EXACT, errors_of, mapper_of, view_graph_of
 
+from epipole.geometry import Rigid3
 from epipole.mapping import ModelBuilder, adjustment, connect_matches
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 from epipole.pipelines.sfm.mappers.visible_points import VisiblePoints, spread_score
@@ -54,7 +55,7 @@ def test_what_is_counted_for_one_image_is_that_of_the_whole_model(
     assert mapper.run(np.ones(12, bool))
     model, visible = mapper.model, VisiblePoints(mapper.model)
     for step in range(6):
-        seen = model.has_point()[model.row_component]
+        seen = model.has_point(np.arange(len(model.components)))[model.row_component]
         visible.update()
         for image, rows in enumerate(model.rows_of_image):
             rows = rows[seen[rows]]
@@ -62,9 +63,42 @@ def test_what_is_counted_for_one_image_is_that_of_the_whole_model(
             assert visible.count(image) == len(rows)
             assert visible.score(image) == spread_score(model.row_pixel[rows], camera.width, camera.height)
             assert mapper.consistency.of_image(model, image) == mapper.consistency.of_images(model)[image]
-        model.row_point[rng.integers(0, len(model.row_point), 400)] = rng.integers(-1, model.num_points, 400)
+        some = rng.integers(0, len(model.row_point), 400)
+        model.drop(some)
+        model.row_point[some[:200]] = rng.integers(0, model.num_points, 200)
         if step == 3:
             model.deregister(5)
+
+
+def test_filtering_what_has_changed_is_filtering_everything(
+    ring: Reconstruction, graph: ViewGraph, rng: np.random.Generator
+) -> None:
+    mapper = mapper_of(ring, graph)
+    assert mapper.run(np.ones(12, bool))
+    model, limits, numbers = mapper.model, (2.0, 0.02), []
+    model.filter(*limits)
+    for step in range(8):
+        image = int(rng.integers(12))
+        if step % 4 == 0:
+            rows = np.flatnonzero(np.isin(model.row_point, rng.integers(0, model.num_points, 30)))
+            points = np.unique(model.row_point[rows[model.row_point[rows] >= 0]])
+            model.set_points(points, model.points[points] + rng.normal(0, 0.02, (len(points), 3)), rows)
+        elif step % 4 == 1 and model.registered[image]:
+            model.register(image, Rigid3.exp(rng.normal(0, 1e-3, 6)) @ model.cam_from_world(image))
+        elif step % 4 == 2:
+            model.deregister(image)
+        else:
+            params = model.params.copy()
+            params[0, 0] *= 1.001
+            model.set_params(params)
+        before = model.snapshot()
+        numbers.append(model.filter(*limits))
+        found = model.row_point.copy()
+        model.restore(before)  # everything counts as changed
+        assert model.filter(*limits) == numbers[-1]
+        np.testing.assert_array_equal(model.row_point, found)
+        assert model.filter(*limits) == 0
+    assert sum(number > 0 for number in numbers) >= 4
 
 
 def test_only_usable_images_take_part(ring: Reconstruction, graph: ViewGraph) -> None:

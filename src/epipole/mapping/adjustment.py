@@ -11,7 +11,8 @@ from jaxtyping import Float64
 from epipole._checks import Declared, check_index, checked
 from epipole.cameras import CameraModel
 from epipole.geometry import Rigid3
-from epipole.mapping.model_builder import ModelBuilder, rows_of_groups
+from epipole.mapping.match_components import rows_of_groups
+from epipole.mapping.model_builder import ModelBuilder
 from epipole.mapping.point_sample import sample_points
 from epipole.optim import (
     BundleConfig,
@@ -208,7 +209,7 @@ def _adjust(
         config = replace(config, single_precision=True)
     result = adjust_bundle(with_fixed_gauge(problem), config)
     model.set_poses(free_images, result.rig_from_world[free_images])
-    model.set_points(used, result.points_in_world)
+    model.set_points(used, result.points_in_world, rows)
     model.set_params(result.camera_params)
     return result
 

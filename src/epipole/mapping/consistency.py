@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from epipole._checks import check_index, checked
-from epipole.mapping.match_components import check_matches, num_keypoints_in
-from epipole.mapping.model_builder import ModelBuilder, rows_of_groups
+from epipole.mapping.match_components import check_matches, num_keypoints_in, rows_of_groups
+from epipole.mapping.model_builder import ModelBuilder
 from epipole.scene import Reconstruction, ViewGraph
 
 

@@ -199,3 +199,38 @@ def check_components(components: MatchComponents, num_keypoints: Sequence[int]) 
     most = np.array(num_keypoints, np.int64)[components.image]
     if not ((components.keypoint >= 0) & (components.keypoint < most)).all():
         raise ShapeError("components.keypoint refers to a keypoint that does not exist")
+
+
+def rows_of_groups(offsets: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """All rows of the given groups, such as components or pairs, in order; group k has the rows from offsets[k] to offsets[k + 1]."""
+    counts = offsets[groups + 1] - offsets[groups]
+    starts = np.repeat(offsets[groups] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
+    return starts + np.arange(counts.sum())
+
+
+class ComponentChanges:
+    """The time of the last change of each component, so that a growing model looks only at what has changed; times are numbers of changes.
+
+    Args:
+        row_component: (r,) the component of each row.
+        num_components: number of components, all of which have changed.
+    """
+
+    def __init__(self, row_component: Int64[np.ndarray, " r"], num_components: int) -> None:
+        self._component_of_row = row_component
+        self._time = np.ones(num_components, np.int64)
+        self.now = 1
+
+    def note(self, rows: np.ndarray) -> None:
+        """The components of these rows change now."""
+        self.now += 1
+        self._time[self._component_of_row[rows]] = self.now
+
+    def note_all(self) -> None:
+        """All components change now."""
+        self.now += 1
+        self._time[:] = self.now
+
+    def since(self, time: int) -> Int64[np.ndarray, " k"]:
+        """The components that have changed after a time, in order; after 0: all."""
+        return np.flatnonzero(self._time > time).astype(np.int64)

@@ -15,18 +15,14 @@ from epipole.cameras import Camera
 from epipole.errors import ShapeError
 from epipole.geometry import Rigid3, Similarity3
 from epipole.mapping import _track_kernels as kernels
-from epipole.mapping.match_components import MatchComponents, check_components
-from epipole.mapping.model_state import Cams, Rows, Snapshot
-from epipole.scene import (
-    Cameras,
-    Frames,
-    Images,
-    Points,
-    Reconstruction,
-    Rigs,
-    Tracks,
-    unregistered,
+from epipole.mapping.match_components import (
+    ComponentChanges,
+    MatchComponents,
+    check_components,
+    rows_of_groups,
 )
+from epipole.mapping.model_state import Cams, Rows, Snapshot, mean_colors, poses_of
+from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
 
 
 class ModelBuilder:
@@ -69,6 +65,8 @@ class ModelBuilder:
         for camera in range(len(self.cameras)):
             self.update_rays(camera)
         self.row_point = np.full(len(self.row_image), -1, np.int32)
+        self.changes = ComponentChanges(self.row_component, len(components))
+        self._filtered = 0, 0.0, 0.0
 
     def replace_components(self, components: MatchComponents) -> None:
         """Replace the connected keypoints; poses and camera parameters stay, points are removed.
@@ -98,6 +96,7 @@ class ModelBuilder:
         self.row_point = np.full(len(self.row_image), -1, np.int32)
         self._points = np.empty((1024, 3))
         self.num_points = 0
+        self.changes.note_all()
         if (self.params != self.cameras.params).any():
             self.set_params(self.cameras.params.copy())
 
@@ -118,6 +117,7 @@ class ModelBuilder:
         self.set_poses(np.flatnonzero(self.registered), self.registered_poses())
         self._points, self.num_points = state.points.copy(), len(state.points)
         self.set_params(state.params.copy())
+        self.changes.note_all()
 
     def set_params(self, params: np.ndarray) -> None:
         """Set the camera parameters, and update the rays of the cameras that changed."""
@@ -125,6 +125,7 @@ class ModelBuilder:
         self.params = params
         for camera in changed:
             self.update_rays(int(camera))
+            self._note_images(np.flatnonzero(self.camera_of_image == camera))
 
     @property
     def points(self) -> Float64[np.ndarray, "p 3"]:
@@ -166,6 +167,10 @@ class ModelBuilder:
         self.motion[images, :9] = cams_from_world.rotation.reshape(-1, 9)
         self.motion[images, 9:] = cams_from_world.translation
         self.center[images] = cams_from_world.centers()
+        self._note_images(images)
+
+    def _note_images(self, images: np.ndarray) -> None:
+        self.changes.note(np.concatenate([[], *(self.rows_of_image[i] for i in images)]).astype(np.int64))
 
     @checked
     def deregister(self, image: int) -> None:
@@ -173,17 +178,24 @@ class ModelBuilder:
         check_index(image, "image", len(self.motion))
         self.registered[image] = False
         self.motion[image] = self.center[image] = np.nan
-        self.row_point[self.rows_of_image[image]] = -1
+        self.drop(self.rows_of_image[image])
 
-    def set_points(self, indices: np.ndarray, xyz: np.ndarray) -> None:
-        """Set the positions of points."""
+    def drop(self, rows: np.ndarray) -> None:
+        """Remove the points of rows."""
+        self.row_point[rows] = -1
+        self.changes.note(rows)
+
+    def set_points(self, indices: np.ndarray, xyz: np.ndarray, rows: np.ndarray) -> None:
+        """Set the positions of points; `rows` observe them."""
         self._points[indices] = xyz
+        self.changes.note(rows)
 
     def replace_points(self, rows: np.ndarray, point_of_row: np.ndarray, xyz: np.ndarray) -> None:
         """Replace all points by these (p, 3); `rows` (k,) observe them, all others observe none."""
         self._points, self.num_points = np.array(xyz, np.float64), len(xyz)
         self.row_point = np.full(len(self.row_image), -1, np.int32)
         self.row_point[rows] = point_of_row
+        self.changes.note_all()
 
     def registered_poses(self) -> Rigid3:
         """cam_from_world of the registered images."""
@@ -236,6 +248,7 @@ class ModelBuilder:
             self._grow(len(made))
             self._points[self.num_points : self.num_points + len(made)] = made
             self.row_point[rows] = local + self.num_points
+            self.changes.note(rows)
             self.num_points += len(made)
             added += len(rows)
         return added
@@ -262,15 +275,25 @@ class ModelBuilder:
         )
         rows = np.flatnonzero(given >= 0)
         self.row_point[rows] = given[rows]
+        self.changes.note(rows)
         return int(sum(counts))
 
     @checked
     def filter(self, max_error_px: float, min_angle_rad: float) -> int:
-        """Drop rows with large errors, and points with too narrow an angle; returns the number of dropped rows."""
+        """Drop rows with large errors, and points with too narrow an angle; returns the number of dropped rows.
+
+        Only components that have changed since the last time are looked at, unless the limits are others.
+        """
         check_squarable(max_error_px, "max_error_px")
-        order, offsets = self.rows_by_point()
-        keep, errors = np.zeros(len(self.row_image), bool), np.empty(self.num_points)
-        limit = np.cos(min_angle_rad)
+        time, *limits = self._filtered
+        changed = self.changes.since(time if limits == [max_error_px, min_angle_rad] else 0)
+        near = rows_of_groups(self.components.offsets, changed)
+        near = near[self.row_point[near] >= 0]
+        order = near[np.argsort(self.row_point[near], kind="stable")]
+        used, starts = np.unique(self.row_point[order], return_index=True)
+        offsets = np.append(starts, len(order)).astype(np.int64)
+        keep, errors = np.zeros(len(self.row_image), bool), np.empty(len(used))
+        limit, points = np.cos(min_angle_rad), self.points[used]
         _parallel.map_chunks(
             lambda a, b, _: kernels.filter_points(
                 self._kernel_rows(),
@@ -279,17 +302,18 @@ class ModelBuilder:
                 order,
                 a,
                 b,
-                self.points,
+                points,
                 max_error_px**2,
                 limit,
                 keep,
                 errors,
             ),
-            self.num_points,
+            len(used),
         )
-        drop = (self.row_point >= 0) & ~keep
-        self.row_point[drop] = -1
-        return int(drop.sum())
+        dropped = near[~keep[near]]
+        self.drop(dropped)
+        self._filtered = self.changes.now, max_error_px, min_angle_rad
+        return len(dropped)
 
     def rows_by_point(self) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " p1"]]:
         """Rows that have a point, grouped by point, with offsets."""
@@ -298,11 +322,11 @@ class ModelBuilder:
         counts = np.bincount(self.row_point[rows], minlength=self.num_points)
         return order, np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
-    def has_point(self) -> Bool[np.ndarray, " t"]:
-        """Mask of components with at least one point."""
-        out = np.zeros(len(self.components), bool)
-        out[self.row_component[self.row_point >= 0]] = True
-        return out
+    def has_point(self, components: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        """Which components have at least one point."""
+        rows = rows_of_groups(self.components.offsets, components)
+        with_point = self.row_component[rows[self.row_point[rows] >= 0]]
+        return np.isin(components, with_point)
 
     @checked
     def points_in_sight(self, image: int) -> tuple[Int64[np.ndarray, " k"], Int32[np.ndarray, " k"]]:
@@ -350,29 +374,20 @@ class ModelBuilder:
         alive = np.diff(offsets) >= 2
         order = order[alive[self.row_point[order]]]
         offsets = np.concatenate([[0], np.cumsum(np.diff(offsets)[alive])]).astype(np.int64)
-        n = len(names)
-        positions = unregistered(n)
-        positions.rotation[self.registered] = self.motion[self.registered, :9].reshape(-1, 3, 3)
-        positions.translation[self.registered] = self.motion[self.registered, 9:]
         image, keypoint = self.row_image[order], self.components.keypoint[order]
         starts = np.concatenate([[0], np.cumsum([len(k) for k in self.keypoints])]).astype(np.int64)
-        rgb = np.full((int(alive.sum()), 3), 128, np.uint8)
-        if colors is not None and len(rgb):
-            seen = np.concatenate(list(colors))[starts[image] + keypoint].astype(np.float64)
-            rgb = np.rint(np.add.reduceat(seen, offsets[:-1], axis=0) / np.diff(offsets)[:, None]).astype(
-                np.uint8
-            )
+        rgb = mean_colors(colors, starts[image] + keypoint, offsets)
         model = Reconstruction(
             replace(self.cameras, params=self.params.copy()),
             Rigs.of_single_cameras(len(self.cameras)),
             Frames(
                 self.camera_of_image.copy(),
-                positions,
-                np.full(n, np.nan) if timestamps_s is None else np.asarray(timestamps_s, np.float64),
+                poses_of(self.registered, self.motion),
+                np.full(len(names), np.nan) if timestamps_s is None else np.asarray(timestamps_s, np.float64),
             ),
             Images(
                 tuple(names),
-                np.arange(n, dtype=np.int32),
+                np.arange(len(names), dtype=np.int32),
                 self.camera_of_image.copy(),
                 starts,
                 np.ascontiguousarray(np.concatenate(list(self.keypoints)), np.float64).reshape(-1, 2),
@@ -383,10 +398,3 @@ class ModelBuilder:
         errors = model.reprojection_errors_px()
         mean = np.add.reduceat(errors, offsets[:-1]) / np.diff(offsets) if len(rgb) else np.zeros(0)
         return replace(model, points=replace(model.points, error_px=mean))
-
-
-def rows_of_groups(offsets: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """All rows of the given groups, such as components or pairs, in order; group k has the rows from offsets[k] to offsets[k + 1]."""
-    counts = offsets[groups + 1] - offsets[groups]
-    starts = np.repeat(offsets[groups] - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
-    return starts + np.arange(counts.sum())

@@ -80,7 +80,7 @@ def drop_short_tracks(model: ModelBuilder, min_length: int, min_long: int) -> in
     is_needed = np.zeros(model.num_points, bool)
     is_needed[point[num_long[image] < min_long]] = True
     drop = is_short & ~is_needed[point]
-    model.row_point[seen[drop]] = -1
+    model.drop(seen[drop])
     return len(np.unique(point[drop]))
 
 

@@ -228,7 +228,10 @@ class IncrementalMapper:
             self.rejections[image] = Rejection(image, in_sight, 0)
 
     def _num_rows_in_sight(self, image: int) -> int:
-        return int(self.model.has_point()[self.model.row_component[self.model.rows_of_image[image]]].sum())
+        components, of_row = np.unique(
+            self.model.row_component[self.model.rows_of_image[image]], return_inverse=True
+        )
+        return int(self.model.has_point(components)[of_row].sum())
 
     def _start_from(self, edge: int) -> bool:
         g, model = self.view_graph, self.model

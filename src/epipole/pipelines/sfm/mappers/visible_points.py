@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from epipole.mapping import ModelBuilder
-from epipole.mapping.model_builder import rows_of_groups
+from epipole.mapping.match_components import rows_of_groups
 
 
 class VisiblePoints:
     """Numbers and distribution of the points that each image sees if its matches are right.
 
-    Registering an image changes the points of some components. Only images with keypoints in these are counted and scored again; which
-    components have points is one pass over all keypoints.
+    Registering an image changes the points of some components. Only images with keypoints in these are counted and scored again.
     """
 
     def __init__(self, model: ModelBuilder) -> None:
@@ -22,7 +21,7 @@ class VisiblePoints:
     def _use_components(self) -> None:
         """Count everything again."""
         self._components, num_images = self._model.components, len(self._model.registered)
-        self._had_point = np.zeros(len(self._components), bool)
+        self._had_point, self._time = np.zeros(len(self._components), bool), 0
         self._is_outdated = np.zeros(num_images, bool)
         self._count, self._score = np.zeros(num_images, np.int64), np.zeros(num_images)
 
@@ -31,12 +30,12 @@ class VisiblePoints:
         model = self._model
         if model.components is not self._components:
             self._use_components()
-        has_point = model.has_point()
-        rows = rows_of_groups(
-            model.components.offsets, np.flatnonzero(has_point != self._had_point).astype(np.int64)
-        )
+        changed = model.changes.since(self._time)
+        self._time = model.changes.now
+        has_point = model.has_point(changed)
+        rows = rows_of_groups(model.components.offsets, changed[has_point != self._had_point[changed]])
         self._is_outdated[model.row_image[rows]] = True
-        self._had_point = has_point
+        self._had_point[changed] = has_point
 
     def count(self, image: int) -> int:
         """Number of keypoints whose component has a point."""
