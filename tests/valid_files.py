@@ -201,7 +201,7 @@ def _tables() -> Iterator[Row]:
     mounting = "cam0:\n  T_cam_imu: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n"
     yield _row(imu_logs.read_camera_from_imu, path=_text("mounting.yaml", mounting))
     files = {"path": _text("imu_of.csv", imu), "mounting": _text("mounting_of.yaml", mounting)}
-    yield _row(imu_logs.read_mounted_imu, **files, units="")
+    yield _row(imu_logs.read_mounted_imu, **files, units="", topic="")
     yield _row(
         frame_tables.read_frame_table, path=_text("frames.csv", "frame,timestamp_s,image\n0,0.5,a.png\n")
     )

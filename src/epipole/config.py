@@ -335,6 +335,8 @@ class AnchorOptions:
     """Mounting of the IMU: EuRoC's sensor.yaml of the camera (T_BS), Kalibr's T_cam_imu, or settings of ORB-SLAM3 or OKVIS."""
     imu_units: str = ""
     """Units of the IMU: m/s^2, g or mg, and rad/s or deg/s, such as g,deg/s; empty: found by content."""
+    imu_topic: str = ""
+    """IMU topic of a ROS recording with several, or GYRO,ACCEL for a sensor with two; empty: the only one."""
 
     def __post_init__(self) -> None:
         """Check the ranges.
@@ -355,11 +357,10 @@ class AnchorOptions:
         if (self.board is None) != (self.square_m is None):
             raise ConfigError("a board of known size needs both board (such as 9x6) and square_m")
         if (self.imu is None) != (self.imu_mounting is None):
-            raise ConfigError(
-                "an IMU determines the scale only if its mounting is known: give both imu and imu_mounting"
-            )
-        if self.imu_units and self.imu is None:
-            raise ConfigError("imu_units belongs to imu: give imu, too")
+            raise ConfigError("an IMU determines the scale only with its mounting: give imu and imu_mounting")
+        for name in ("imu_units", "imu_topic"):
+            if getattr(self, name) and self.imu is None:
+                raise ConfigError(f"{name} belongs to imu: give imu, too")
         if self.odometry_mounting is not None and self.odometry is None:
             raise ConfigError("odometry_mounting belongs to odometry: give odometry, too")
         check_dictionary(self.dictionary_name)

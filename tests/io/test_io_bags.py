@@ -12,6 +12,7 @@ from epipole.io.bags._pairing import grouped, paired
 from epipole.io.bags.recording import bag_frames, is_bag, read_bag, read_bag_imu, read_bag_topics
 from epipole.io.bags.rig_recording import bag_rig_frames, read_bag_rig
 from epipole.io.calibration.camera_topics import camera_topics
+from epipole.io.sequences.imu_logs import read_imu
 
 SECOND, STEP = 10**9, 10**8
 BEGIN = 1_500_000_000 * SECOND
@@ -258,6 +259,33 @@ def test_what_an_imu_measured(recorded, tmp_path):
     with pytest.raises(ConfigError, match="several IMUs"):
         read_bag_imu(again)
     assert len(read_bag_imu(again, "/second")) == 1
+
+
+def test_an_imu_with_two_topics(recorded, tmp_path):
+    """As RealSense's cameras publish it: 200 and 63 Hz, the other half zero."""
+    nothing = np.zeros(3)
+    for n in range(40):
+        recorded.imu("/gyro", BEGIN + n * STEP // 20, np.array([0.1 * n, 0, 0]), nothing)
+    for n in range(13):
+        recorded.imu("/accel", BEGIN + n * STEP // 6, nothing, np.array([0.3 * n, 9.8, 0]))
+    path = recorded.write(tmp_path)
+    found = read_bag_imu(path, "/gyro,/accel")
+    times = 0.005 * np.arange(40)
+    np.testing.assert_allclose(found.timestamp_s - BEGIN / SECOND, times, atol=1e-6)
+    np.testing.assert_allclose(found.gyro_rad_s[:, 0], 0.1 * np.arange(40))
+    np.testing.assert_allclose(found.accel_m_s2[:, 0], 0.3 * times / (0.1 / 6), atol=1e-5)
+    assert np.array_equal(read_imu(path, topic="/gyro,/accel")[0].accel_m_s2, found.accel_m_s2)
+    for topic in ("/gyro,/other", "/gyro,/accel,/gyro"):
+        with pytest.raises(ConfigError, match=f"no IMU topic found for '{topic}'"):
+            read_bag_imu(path, topic)
+    table = tmp_path / "imu.txt"
+    table.write_text("0.1 0 0 0 0 0 9.8\n0.2 0 0 0 0 0 9.8\n")
+    with pytest.raises(ConfigError, match="not a ROS recording"):
+        read_imu(table, topic="/imu")
+    recorded.imu("/late", BEGIN + 100 * STEP, nothing, nothing)
+    recorded.imu("/late", BEGIN + 101 * STEP, nothing, nothing)
+    with pytest.raises(FileFormatError, match="do not overlap"):
+        read_bag_imu(recorded.write(tmp_path, "late"), "/gyro,/late")
 
 
 def test_samples_of_an_imu_out_of_order_are_sorted_and_told(recorded, tmp_path):

@@ -224,3 +224,5 @@ def test_jobs_take_the_stated_units(table, tmp_path):
         check_anchor_files(AnchorOptions(**files, imu_units="pounds"))
     with pytest.raises(ConfigError, match="imu_units belongs to imu"):
         AnchorOptions(imu_units="g")
+    with pytest.raises(ConfigError, match="imu_topic belongs to imu"):
+        AnchorOptions(imu_topic="/imu")

@@ -71,7 +71,7 @@ def check_anchor_files(options: AnchorOptions) -> None:
         "lengths": read_lengths,
         "odometry": read_odometry,
         "odometry_mounting": read_camera_from_imu,
-        "imu": partial(read_imu, units=options.imu_units),
+        "imu": partial(read_imu, units=options.imu_units, topic=options.imu_topic),
         "imu_mounting": read_camera_from_imu,
     }
     for name in ANCHOR_FILES:
@@ -124,7 +124,7 @@ def mounted_imu(options: AnchorOptions) -> MountedImu | None:
     """
     if options.imu is None or options.imu_mounting is None:
         return None
-    return read_mounted_imu(options.imu, options.imu_mounting, options.imu_units)
+    return read_mounted_imu(options.imu, options.imu_mounting, options.imu_units, options.imu_topic)
 
 
 def _of_length(views: AnchorViews, known: KnownLength, options: AnchorOptions) -> ScaleEstimate:

@@ -193,7 +193,8 @@ def read_bag_imu(path: str | Path, topic: str | None = None, units: str = "") ->
 
     Args:
         path: the recording.
-        topic: the IMU's topic; None if there is only one.
+        topic: the IMU's topic, or "GYRO,ACCEL": those of a sensor that publishes the two apart, whose accelerations are interpolated
+            at the times of the angular velocities; None if there is only one.
         units: as in `read_imu`.
 
     Raises:
@@ -204,24 +205,61 @@ def read_bag_imu(path: str | Path, topic: str | None = None, units: str = "") ->
     """
     path = Path(path)
     with opened_bag(path) as bag:
-        imus = [t for t in topics_of(bag) if t.kind == "imu" and topic in (None, t.name)]
-        if len(imus) != 1:
-            problem = "no IMU topic found" if not imus else "there are several IMUs; choose a topic"
-            raise ConfigError(f"{path}: {problem} (topics are {listed_topics(topics_of(bag))})")
-        rows = []
-        for message in bag.messages([imus[0].name]):
-            content = bag.content(message)
-            rotation, acceleration = content.angular_velocity, content.linear_acceleration
-            time_s = stamp_s(content, message)
-            rows.append(
-                (time_s, rotation.x, rotation.y, rotation.z, acceleration.x, acceleration.y, acceleration.z)
+        known = [t.name for t in topics_of(bag) if t.kind == "imu"]
+        names = known if topic is None else topic.split(",")
+        if topic is None and len(known) > 1:
+            problem = (
+                "there are several IMUs; choose a topic (imu_topic), or GYRO,ACCEL for a sensor with two"
             )
-    values = np.array(rows, np.float64).reshape(-1, 7)
-    if not np.isfinite(values).all():
-        raise FileFormatError(path, f"{imus[0].name}: a measurement is not finite")
-    values, notes = in_order(path, values)
+        elif not names or len(names) > 2 or not {*names} <= {*known}:
+            problem = "no IMU topic found" if topic is None else f"no IMU topic found for {topic!r}"
+        else:
+            problem = ""
+        if problem:
+            raise ConfigError(f"{path}: {problem} (topics are {listed_topics(topics_of(bag))})")
+        tables = [_imu_table(bag, name) for name in names]
+    sorted_tables = [in_order(path, values) for values in tables]
+    values, notes = sorted_tables[0][0], [note for _, said in sorted_tables for note in said]
+    if len(names) == 2:
+        values = _with_accelerations(path, values, sorted_tables[1][0])
     gyro, accel, converted = in_si_units(path, values[:, 0], values[:, 1:4], values[:, 4:], units)
     return ImuLog(values[:, 0].copy(), gyro.copy(), accel.copy(), (*notes, *converted))
+
+
+def _imu_table(bag: OpenBag, name: str) -> np.ndarray:
+    """(n, 7) time, angular velocity and acceleration of the messages of a topic.
+
+    Raises:
+        FileFormatError: a number is not finite.
+    """
+    rows = []
+    for message in bag.messages([name]):
+        content = bag.content(message)
+        rotation, acceleration = content.angular_velocity, content.linear_acceleration
+        measured = rotation.x, rotation.y, rotation.z, acceleration.x, acceleration.y, acceleration.z
+        rows.append((stamp_s(content, message), *measured))
+    values = np.array(rows, np.float64).reshape(-1, 7)
+    if not np.isfinite(values).all():
+        raise FileFormatError(bag.path, f"{name}: a measurement is not finite")
+    return values
+
+
+def _with_accelerations(path: Path, gyro: np.ndarray, accel: np.ndarray) -> np.ndarray:
+    """The table of the angular velocities, with the accelerations of another interpolated at its times.
+
+    Raises:
+        FileFormatError: the two do not overlap in time.
+    """
+    both = (
+        (gyro[:, 0] >= accel[0, 0]) & (gyro[:, 0] <= accel[-1, 0])
+        if len(accel)
+        else np.zeros(len(gyro), bool)
+    )
+    if both.sum() < 2:
+        raise FileFormatError(path, "angular velocities and accelerations do not overlap in time")
+    gyro = gyro[both]
+    columns = [np.interp(gyro[:, 0], accel[:, 0], accel[:, axis]) for axis in (4, 5, 6)]
+    return np.concatenate([gyro[:, :4], np.stack(columns, axis=1)], axis=1)
 
 
 def _info_of(bag: OpenBag, topic: str, first: Any, topics: Sequence[BagTopic]) -> _Info | None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from epipole._checks import checked
-from epipole.errors import FileFormatError
+from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
 from epipole.inertial import ImuLog, ImuNoise, MountedImu
 from epipole.io.bags.recording import is_bag, read_bag_imu
@@ -22,7 +22,7 @@ _COLUMNS = 7
 
 
 @checked
-def read_imu(path: str | Path, units: str = "") -> tuple[ImuLog, ImuNoise]:
+def read_imu(path: str | Path, units: str = "", topic: str = "") -> tuple[ImuLog, ImuNoise]:
     """Read an IMU log: angular velocities (rad/s) and specific forces (m/s^2).
 
     Unordered rows are sorted, repeated times dropped, and measurements that are certain to be in g or degrees per second
@@ -30,18 +30,21 @@ def read_imu(path: str | Path, units: str = "") -> tuple[ImuLog, ImuNoise]:
 
     Args:
         path: EuRoC's `imu0` folder or its `data.csv` (noise is read from the `sensor.yaml` beside it), a text file with
-            `SECONDS wx wy wz ax ay az` per line (or nanoseconds), or a ROS recording with one IMU.
+            `SECONDS wx wy wz ax ay az` per line (or nanoseconds), or a ROS recording.
         units: units of the measurements, such as "g,deg/s" (see `epipole.io.sequences.imu_units`); empty: found by content.
+        topic: that of a ROS recording with several IMUs, as in `read_bag_imu`; empty: there is only one.
 
     Raises:
         FileFormatError: the file is missing, a line is malformed, times belong to several recordings, or measurements
             are in another unit that is neither stated nor certain, or without gravity.
-        ConfigError: unknown units.
+        ConfigError: unknown units, or the topic is not that of an IMU in a recording.
         MissingDependencyError: the package rosbags is required and not installed.
     """
     path = Path(path)
     if is_bag(path):
-        return read_bag_imu(path, units=units), ImuNoise()
+        return read_bag_imu(path, topic or None, units), ImuNoise()
+    if topic:
+        raise ConfigError(f"{path} is not a ROS recording: it has no topic {topic}")
     table = path / "data.csv" if path.is_dir() else path
     values = _table(table)
     values[:, 0], said = seconds_of_imu(table, values[:, 0])
@@ -68,7 +71,7 @@ def read_camera_from_imu(path: str | Path) -> Rigid3:
 
 
 @checked
-def read_mounted_imu(path: str | Path, mounting: str | Path, units: str = "") -> MountedImu:
+def read_mounted_imu(path: str | Path, mounting: str | Path, units: str = "", topic: str = "") -> MountedImu:
     """Read an IMU log with the IMU's mounting, and what the file of the mounting states about clock and noise.
 
     Args:
@@ -76,11 +79,12 @@ def read_mounted_imu(path: str | Path, mounting: str | Path, units: str = "") ->
         mounting: the file of the mounting, as for `read_camera_from_imu`. With an offset of the IMU's clock (timeshift_cam_imu),
             the log gets the times of the camera's clock, and a note.
         units: as for `read_imu`.
+        topic: as for `read_imu`.
 
     Raises:
         FileFormatError, ConfigError, MissingDependencyError: as of the two.
     """
-    (log, noise), mounting = read_imu(path, units), Path(mounting)
+    (log, noise), mounting = read_imu(path, units, topic), Path(mounting)
     content = parsed_file(mounting)
     offset_s, stated = clock_offset_of(mounting, content), noise_of(content)
     if offset_s:

@@ -108,3 +108,4 @@ class ReconstructKeywords(TypedDict, total=False):
     imu: str | Path | None
     imu_mounting: str | Path | None
     imu_units: str
+    imu_topic: str

@@ -78,3 +78,4 @@ class SlamKeywords(TypedDict, total=False):
     imu: str | Path | None
     imu_mounting: str | Path | None
     imu_units: str
+    imu_topic: str
