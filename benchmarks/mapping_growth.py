@@ -10,6 +10,7 @@ import argparse
 import json
 import resource
 import sys
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
@@ -69,10 +70,9 @@ def map_task(task: StreetTask, config: MapperConfig) -> Separation:
     return map_apart(task.view_graph, map_pairs, matched)
 
 
-def measure(num_images: int, part_images: int | None) -> dict[str, Any]:
-    """Map one size, as a whole or in parts: time, memory, and distance of the images from their true positions."""
+def measure(num_images: int, config: MapperConfig) -> dict[str, Any]:
+    """Map one size: time, memory, and distance of the images from their true positions."""
     task = street_task(num_images)
-    config = MapperConfig() if part_images is None else MapperConfig(divide_above=1, part_images=part_images)
     warm_up()
     start = perf_counter()
     models = map_task(task, config).last.mapped.models
@@ -93,8 +93,8 @@ def measure(num_images: int, part_images: int | None) -> dict[str, Any]:
     }
 
 
-def _serve(num_images: int, part_images: int | None, connection: Any) -> None:
-    connection.send(measure(num_images, part_images))
+def _serve(num_images: int, config: MapperConfig, connection: Any) -> None:
+    connection.send(measure(num_images, config))
 
 
 def exponent(rows: list[dict[str, Any]]) -> float:
@@ -108,7 +108,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Mapping of drives of different lengths.")
     parser.add_argument("--images", type=int, nargs="+", default=SIZES)
     parser.add_argument("--part-images", type=int, help="map in parts of this size; no results are written")
+    parser.add_argument(
+        "--method", choices=("auto", "incremental", "global"), default="auto", help="only auto writes results"
+    )
     arguments = parser.parse_args()
+    config = MapperConfig(method=arguments.method)
+    if arguments.part_images is not None:
+        config = replace(config, divide_above=1, part_images=arguments.part_images)
     context, rows = get_context("spawn"), []
     columns = (
         "images",
@@ -126,7 +132,7 @@ def main() -> None:
         table.add_column(column, justify="right")
     for num_images in arguments.images:
         ours, theirs = context.Pipe(duplex=False)
-        process = context.Process(target=_serve, args=(num_images, arguments.part_images, theirs))
+        process = context.Process(target=_serve, args=(num_images, config, theirs))
         process.start()
         theirs.close()
         row = ours.recv()
@@ -141,7 +147,7 @@ def main() -> None:
     if len(rows) > 1:
         found["exponent"] = exponent(rows)
     file = REPOSITORY / "benchmarks" / "results" / "mapping_growth.json"
-    if arguments.part_images is None:
+    if arguments.part_images is None and arguments.method == "auto":
         file.write_text(json.dumps(found, indent=1) + "\n")
     console = Console(width=120)
     console.print(table)
