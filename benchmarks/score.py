@@ -17,7 +17,7 @@ from epipole.scene import Reconstruction
 
 MAX_REPROJECTION_PX = 4.0
 MIN_TRACK_LENGTH = 2
-AUC_THRESHOLDS_DEG = (1.0, 3.0, 5.0)
+AUC_THRESHOLDS_DEG = (0.5, 1.0, 3.0, 5.0, 10.0)
 
 Score = dict[str, float]
 
