@@ -85,7 +85,10 @@ class _FirstPose:
     @property
     def is_clear(self) -> bool:
         """Whether further matches would not change the pose: the search finds the other points."""
-        return self.inliers is not None and _is_clear(self.failure.num_inliers, self.failure.num_matches)
+        count = self.failure.num_inliers
+        return self.inliers is not None and count >= max(
+            MANY_INLIERS, MOST_MATCHES * self.failure.num_matches
+        )
 
 
 class Localizer:
@@ -193,8 +196,7 @@ class Localizer:
         else:
             first = estimate_absolute_pose(points, pixels, camera, self._ransac)
             least = max(first.num_inliers + MORE_INLIERS, MORE_INLIERS_RATIO * first.num_inliers)
-            # A free focal length cannot have more inliers than points; where most agree, the linear step in `_result` is valid.
-            if least < len(points) and not _is_clear(first.num_inliers, len(points)):
+            if least < len(points):  # else a free focal length cannot have more inliers than that
                 free, freed = resect_with_focal(points, pixels, camera, self._ransac)
                 if free.success and free.num_inliers > least:
                     other_focal_px = freed.focal_px
@@ -347,10 +349,6 @@ class Localizer:
             ~(is_inlier[pairs.point] | is_used[pairs.feature]) for pairs in (found, displaced)
         )
         return found, is_new, int(is_new_by_chance.sum())
-
-
-def _is_clear(num_inliers: int, num_matches: int) -> bool:
-    return num_inliers >= max(MANY_INLIERS, MOST_MATCHES * num_matches)
 
 
 def _one_to_one(pairs: np.ndarray) -> Matches2D3D:
