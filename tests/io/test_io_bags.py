@@ -275,6 +275,14 @@ def test_an_imu_with_two_topics(recorded, tmp_path):
     np.testing.assert_allclose(found.gyro_rad_s[:, 0], 0.1 * np.arange(40))
     np.testing.assert_allclose(found.accel_m_s2[:, 0], 0.3 * times / (0.1 / 6), atol=1e-5)
     assert np.array_equal(read_imu(path, topic="/gyro,/accel")[0].accel_m_s2, found.accel_m_s2)
+    with pytest.raises(FileFormatError, match="gravity"):
+        read_bag_imu(path, "/accel, /gyro")  # exchanged: accelerations are zero
+    for n in (60, 61, 62):  # a pause from 0.2 to 1.0 s
+        recorded.imu("/accel", BEGIN + n * STEP // 6, nothing, np.array([0.3 * n, 9.8, 0]))
+    for n in range(40, 207):
+        recorded.imu("/gyro", BEGIN + n * STEP // 20, np.array([1.0, 0, 0]), nothing)
+    paused = read_bag_imu(recorded.write(tmp_path, "paused"), "/gyro,/accel").timestamp_s - BEGIN / SECOND
+    assert not ((paused > 0.201) & (paused < 0.999)).any() and paused[-1] > 1.02
     for topic in ("/gyro,/other", "/gyro,/accel,/gyro"):
         with pytest.raises(ConfigError, match=f"no IMU topic found for '{topic}'"):
             read_bag_imu(path, topic)

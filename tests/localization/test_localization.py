@@ -60,6 +60,19 @@ def test_images_are_localized_where_they_were_taken(result, views, truth, worksp
         assert not found.is_focal_contradicted and abs(found.focal_correction) < 0.01
 
 
+@pytest.mark.parametrize("factor", [0.85, 0.95, 1.05, 1.2])
+def test_a_wrong_focal_length_is_named_in_every_image(factor, photographs, workspace):
+    """Also where most matches agree with it within the threshold."""
+    localizer = epipole.Localizer.open(workspace)
+    right = localizer.reference.model.cameras[0]
+    params = right.params.copy()
+    params[0] *= factor
+    for path in sorted(photographs.iterdir()):
+        assert localizer.localize(
+            path, epipole.Camera(right.model, right.width, right.height, params)
+        ).is_focal_contradicted
+
+
 def test_the_model_is_unchanged_and_the_images_are_added(result, workspace):
     before = read_colmap_model(workspace / "sparse" / "0")
     after = read_colmap_model(result.out / "sparse" / "0")

@@ -44,6 +44,8 @@ PAIR_TOLERANCE_S = 0.005
 """Largest time difference within a stereo pair: cameras are triggered together; drivers add jitter to the stamps."""
 DEPTH_TOLERANCE_S = 0.02
 """Largest time difference between color and depth, whose sensors are not synchronized (as in the TUM dataset)."""
+GAP_INTERVALS = 5.0
+"""Accelerations that are farther apart than this many median intervals are not interpolated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,7 +208,7 @@ def read_bag_imu(path: str | Path, topic: str | None = None, units: str = "") ->
     path = Path(path)
     with opened_bag(path) as bag:
         known = [t.name for t in topics_of(bag) if t.kind == "imu"]
-        names = known if topic is None else topic.split(",")
+        names = known if topic is None else [name.strip() for name in topic.split(",")]
         if topic is None and len(known) > 1:
             problem = (
                 "there are several IMUs; choose a topic (imu_topic), or GYRO,ACCEL for a sensor with two"
@@ -247,17 +249,17 @@ def _imu_table(bag: OpenBag, name: str) -> np.ndarray:
 def _with_accelerations(path: Path, gyro: np.ndarray, accel: np.ndarray) -> np.ndarray:
     """The table of the angular velocities, with the accelerations of another interpolated at its times.
 
+    Angular velocities in gaps of the accelerations are left out, so that the log has the gap, too.
+
     Raises:
         FileFormatError: the two do not overlap in time.
     """
-    both = (
-        (gyro[:, 0] >= accel[0, 0]) & (gyro[:, 0] <= accel[-1, 0])
-        if len(accel)
-        else np.zeros(len(gyro), bool)
-    )
-    if both.sum() < 2:
+    times = np.concatenate([[-np.inf], accel[:, 0], [np.inf]])
+    sides = [np.searchsorted(times, gyro[:, 0], side) - 1 for side in ("left", "right")]
+    between = np.diff(times)[sides].min(axis=0)
+    gyro = gyro[between <= GAP_INTERVALS * np.median(np.diff(accel[:, 0]))] if len(accel) > 1 else gyro[:0]
+    if len(gyro) < 2:
         raise FileFormatError(path, "angular velocities and accelerations do not overlap in time")
-    gyro = gyro[both]
     columns = [np.interp(gyro[:, 0], accel[:, 0], accel[:, axis]) for axis in (4, 5, 6)]
     return np.concatenate([gyro[:, :4], np.stack(columns, axis=1)], axis=1)
 
