@@ -209,10 +209,20 @@ def test_the_cloud_is_also_written_as_laz(scene, done, tmp_path):
     assert found.crs is None and found.sigma is not None
     np.testing.assert_allclose(found.points, cloud.xyz, atol=1e-3)
     np.testing.assert_array_equal(found.rgb, cloud.rgb)
-    surface(scene.folder, out, until="cloud", max_size_px=192)
+    again = surface(scene.folder, out, until="cloud", max_size_px=192, crs="EPSG:32632")
     assert not (out / "cloud.laz").exists()
+    assert any("--crs has no effect" in warning for warning in again.warnings)
     with pytest.raises(ConfigError, match="laz needs the cloud"):
         SurfaceConfig(laz=True, until="depth")
+
+
+def test_options_of_later_stages_are_named():
+    assert SurfaceConfig(until="survey", crs="EPSG:32632", faces=100, formats=("obj",)).unused() == []
+    assert SurfaceConfig(laz=True, crs="EPSG:32632", voxel=0.1).unused() == []
+    crs, crop = SurfaceConfig(crs="EPSG:32632", crop=(0.0, 0.0, 1.0, 1.0)).unused()
+    assert "--crs has no effect: it belongs to the stage survey or --laz" in crs and "--crop" in crop
+    (faces,) = SurfaceConfig(until="cloud", faces=100).unused()
+    assert "--faces" in faces and "the stage mesh, but this run ends with cloud" in faces
 
 
 def test_images_of_which_little_can_be_undistorted_are_said(tmp_path):

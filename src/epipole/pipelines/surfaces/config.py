@@ -11,6 +11,12 @@ from epipole.errors import ConfigError
 
 STAGES = ("depth", "cloud", "mesh", "texture", "survey")
 FORMATS = ("glb", "obj", "ply", "usdz")
+_FIRST_USED = {
+    "mesh": ("voxel", "min_component", "close", "faces"),
+    "texture": ("texture_px", "formats"),
+    "survey": ("resolution_m", "crs", "crop", "contour_m"),
+}
+"""Options that have no effect in a run that ends before a stage; `crs` has one with `laz`, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,3 +101,22 @@ class SurfaceConfig:
             Cluster(self.cluster)
         if self.threads is not None and self.threads < 1:
             raise ConfigError(f"threads must be at least 1, got {self.threads}")
+
+    def unused(self) -> list[str]:
+        """A note for each option that was passed but has no effect, since the run ends before the stage that uses it."""
+        notes = []
+        for stage, names in _FIRST_USED.items():
+            if STAGES.index(stage) <= STAGES.index(self.until):
+                continue
+            used = {"crs"} if self.laz else set()
+            passed = [name for name in names if name not in used and getattr(self, name) != _default(name)]
+            notes += [
+                f"--{name.replace('_', '-')} has no effect: it belongs to the stage {stage}{' or --laz' if name == 'crs' else ''},"
+                f" but this run ends with {self.until} (--until)"
+                for name in passed
+            ]
+        return notes
+
+
+def _default(name: str) -> object:
+    return SurfaceConfig.__dataclass_fields__[name].default

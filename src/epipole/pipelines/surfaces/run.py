@@ -123,6 +123,7 @@ def surface(
     )
     with open_run(job, target) as run:
         with run.stage("open"):
+            run.warnings += wanted.unused()
             inputs = surface_inputs(source, run, wanted)
             if wanted.until == "survey":
                 run.warnings += check_survey(inputs, wanted)
