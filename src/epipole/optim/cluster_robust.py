@@ -11,13 +11,15 @@ minimum toward itself by its fraction of the weight; this loss is corrected as b
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from epipole import _parallel
 from epipole.optim import _bundle_arrays as arrays
 from epipole.optim import _bundle_kernels as kernels
 from epipole.optim import _bundle_reduced_kernels as reduced_kernels
-from epipole.optim.bundle_layout import BundleState
+from epipole.optim.bundle_layout import BundleLayout, BundleState
 from epipole.optim.bundle_system import BundleSystem, Linearization
 from epipole.optim.losses import Loss
 
@@ -81,42 +83,35 @@ def _scores(
     """For each cluster of points its reduced gradient (nodes, lanes), points eliminated, and its weight in nodes (nodes,)."""
     layout, scene = system.layout, system.layout.scene(state)
     kept = arrays.Eliminated(*(arrays.rows_of_zeros(part.shape) for part in system.kept))
-    nowhere = np.full((len(layout.images.frame), 3, 3), -1, np.int64)
-    no_blocks = arrays.rows_of_zeros((1, len(layout.lanes), len(layout.lanes)))
+    images, wide, lanes = len(layout.images.frame), len(layout.wide), len(layout.lanes)
+    nowhere = np.full((images, 3, 3), -1, np.int64)
+    no_blocks = arrays.rows_of_zeros((1, lanes, lanes))
     stays = np.flatnonzero(layout.nodes.point >= 0)
 
-    def score(c: int) -> tuple[np.ndarray, np.ndarray]:
-        first, last = int(edges[c]), int(edges[c + 1])
-        sums = (
-            arrays.rows_of_zeros((len(layout.images.frame), len(layout.wide), len(layout.wide))),
-            arrays.rows_of_zeros((len(layout.images.frame), len(layout.wide))),
-            arrays.rows_of_zeros((layout.num_nodes, len(layout.lanes))),
-        )
-        kernels.linearize(
-            layout.observations,
-            first,
-            last,
-            scene,
-            layout.unknowns,
-            layout.entries,
-            *loss,
-            0.0,
-            kept,
-            sums,
-            layout.lanes,
-            layout.wide,
-            kernels.make_scratch(len(layout.wide)),
-        )
-        gradient = arrays.rows_of_zeros((layout.num_nodes, len(layout.lanes)))
-        reduced_kernels.add_images(
-            layout.unknowns, sums[0], sums[1], nowhere, no_blocks, gradient, layout.wide
-        )
-        for j in stays[(stays >= first) & (stays < last)]:
-            gradient[layout.nodes.point[j], :3] += kept.h[j]
-        weight = np.zeros(layout.num_nodes)
-        for which in range(3):
-            met = layout.unknowns.nodes[:, which]
-            np.add.at(weight, met[met >= 0], np.einsum("iaa->i", sums[0])[met >= 0])
-        return gradient - sums[2], weight
+    def scores(begin: int, end: int, _chunk: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        shapes = (images, wide, wide), (images, wide), (layout.num_nodes, lanes), (layout.num_nodes, lanes)
+        normal, gradient_of_images, eliminated, gradient = map(arrays.rows_of_zeros, shapes)
+        sums, scratch, found = (normal, gradient_of_images, eliminated), kernels.make_scratch(wide), []
+        for first, last in pairwise(edges[begin : end + 1].tolist()):
+            for part in (*sums, gradient):
+                part.fill(0.0)
+            points = layout.observations, first, last, scene, layout.unknowns, layout.entries
+            kernels.linearize(*points, *loss, 0.0, kept, sums, layout.lanes, layout.wide, scratch)
+            reduced_kernels.add_images(
+                layout.unknowns, normal, gradient_of_images, nowhere, no_blocks, gradient, layout.wide
+            )
+            for j in stays[(stays >= first) & (stays < last)]:
+                gradient[layout.nodes.point[j], :3] += kept.h[j]
+            found.append((gradient - eliminated, _weight_of_nodes(layout, normal)))
+        return found
 
-    return _parallel.map_items(score, len(edges) - 1)
+    return [score for part in _parallel.map_chunks(scores, len(edges) - 1) for score in part]
+
+
+def _weight_of_nodes(layout: BundleLayout, normal: np.ndarray) -> np.ndarray:
+    """(nodes,) sum of the diagonals of the images' normal matrices."""
+    weight, of_image = np.zeros(layout.num_nodes), np.einsum("iaa->i", normal)
+    for nodes in layout.unknowns.nodes.T:
+        met = nodes >= 0
+        weight += np.bincount(nodes[met], of_image[met], layout.num_nodes)
+    return weight
