@@ -9,8 +9,9 @@ import pytest
 import yaml
 
 from epipole.cameras import Camera, CameraModel
-from epipole.errors import FileFormatError
+from epipole.errors import ConfigError, FileFormatError
 from epipole.geometry import Rigid3
+from epipole.io.calibration.camera_topics import camera_topics
 from epipole.io.calibration.coefficients import camera_of_coefficients
 from epipole.io.calibration.files import (
     CalibrationFile,
@@ -20,6 +21,7 @@ from epipole.io.calibration.files import (
     write_opencv_yaml,
     write_ros_yaml,
 )
+from epipole.pipelines.slam.config import CameraOptions
 
 LENS = Camera(CameraModel.OPENCV, 640, 480, np.array([520.0, 524.0, 315.0, 236.0, -0.25, 0.08, 1e-3, -5e-4]))
 FISHEYE = Camera(
@@ -308,3 +310,26 @@ def test_files_of_data_sets_that_are_not_what_they_claim(tmp_path, text, words):
     with pytest.raises(FileFormatError, match=words):
         read_stereo_rig(path, size=(640, 480)) if "width" not in words else read_stereo_rig(path)
     assert time.perf_counter() - start < 1.0
+
+
+def test_a_folder_has_the_files_of_a_pair(tmp_path):
+    camera = Camera("PINHOLE", 64, 48, [50, 50, 31.5, 23.5])
+    projection = np.column_stack([camera.K, [-50 * 0.12, 0, 0]])
+    write_ros_yaml(tmp_path / "left.yaml", camera, "left")
+    with pytest.raises(
+        FileFormatError, match=r"a folder without a calibration: expected .*left\.yaml and right\.yaml"
+    ):
+        read_calibration(tmp_path)
+    write_ros_yaml(tmp_path / "right.yaml", camera, "right", np.eye(3), projection)
+    rig = CameraOptions(calibration=tmp_path).rig((64, 48))
+    assert rig.baseline == pytest.approx(0.12)
+    assert read_stereo_rig(tmp_path / "left.yaml", tmp_path / "right.yaml").baseline == rig.baseline
+    assert camera_topics(tmp_path) == ()
+    with pytest.raises(ConfigError, match="has 2 cameras"):
+        CameraOptions(calibration=tmp_path).camera((64, 48))
+    for name in ("left.yml", "right.yml"):
+        write_ros_yaml(tmp_path / name, camera, "other", np.eye(3), projection)
+    with pytest.raises(FileFormatError, match="two calibrations: pass the files, left"):
+        read_calibration(tmp_path)
+    write_calibration(tmp_path / "calibration.json", CalibrationFile((camera,), Rigid3.identity(1)))
+    assert len(read_calibration(tmp_path).cameras) == 1

@@ -17,6 +17,8 @@ def camera_topics(path: str | Path) -> tuple[str, ...]:
     Raises:
         FileFormatError: the file is malformed.
     """
+    if Path(path).is_dir():
+        return ()
     content = parsed_file(Path(path))
     if not is_chain(content):
         return ()

@@ -32,6 +32,7 @@ from epipole.io.calibration.camera_chains import (
 )
 from epipole.io.calibration.cameras import CalibrationFile as CalibrationFile
 from epipole.io.calibration.coefficients import camera_of_coefficients, coefficients_of_camera
+from epipole.io.calibration.folders import calibration_files
 from epipole.io.calibration.model_names import named_model, refuse_binning, require_coefficients
 from epipole.io.calibration.slam_settings import is_okvis, is_orb_slam, okvis_cameras, orb_slam_cameras
 from epipole.io.files import file_bytes
@@ -62,14 +63,16 @@ def read_calibration(*paths: str | Path, size: tuple[int, int] | None = None) ->
     """Read cameras, and their relative poses if the files have them.
 
     Args:
-        paths: one file; or two: those of the left and the right camera (ROS, EuRoC), or intrinsics and extrinsics
-            (OpenCV's sample).
+        paths: one file; or two: those of the left and the right camera (ROS, EuRoC), or intrinsics and extrinsics (OpenCV's sample); or
+            a folder with those of two cameras (`left.yaml` and `right.yaml`).
         size: width and height of the images, for files without them (OpenCV's stereo sample, KITTI).
 
     Raises:
         FileFormatError: a file cannot be read; the message names the missing key.
     """
     files = [Path(p) for p in paths]
+    if len(files) == 1:
+        files = calibration_files(files[0])
     if len(files) not in (1, 2):
         raise FileFormatError(files[0] if files else "calibration", "expected one or two files")
     try:
