@@ -346,7 +346,7 @@ def test_only_the_observation_that_was_removed_stops_being_tracked(tracked):
     own = tracker.tracks.point == point
     assert RIG.camera_of(tracker.tracks.pixels[own]).tolist() == [0]
     newest.pixels, newest.point, newest.disparity_px, newest.descriptors, newest.shift_px = kept
-    tracker.start_from(before)
+    tracker.start_from(before, system.odometry.cam_from_world)
 
 
 def test_masks_of_the_cameras_are_stacked(images):

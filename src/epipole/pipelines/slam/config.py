@@ -36,7 +36,7 @@ class OdometryConfig(FlowConfig):
     keyframe_fraction: float = 0.65
     """Insert a keyframe when fewer than this fraction of the last keyframe's points are inliers."""
     keyframe_motion: float = 0.04
-    """Insert a keyframe when the points have moved by this fraction of the image width."""
+    """Insert a keyframe when the points have moved by this fraction of the image width, not counting the camera's rotation."""
     keyframe_points: int = 150
     """Insert a keyframe when fewer than this many triangulated points are inliers."""
     keyframe_gap: int = 20

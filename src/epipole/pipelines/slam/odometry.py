@@ -87,7 +87,7 @@ class Odometry:
         keyframe.covariance = with_map_error(newest.covariance, between, covariance)
         tracks = other.tracker.tracks
         tracks.point = tracks.point + self.map.absorb(other.map)
-        self.tracker.start_from(tracks)
+        self.tracker.start_from(tracks, other.cam_from_world)
         self.cam_from_world = other.cam_from_world
 
     def extend_map(
@@ -184,10 +184,13 @@ class Odometry:
 
     def newest_keyframe(self) -> Keyframe:
         """The last keyframe with points, which rotation-only keyframes do not have."""
-        return next(k for k in reversed(self.map.keyframes) if len(k.point))
+        return self.map.newest_keyframe()
 
     def _why_keyframe(self, num_agreeing: int, number: int, quality: FrameQuality) -> str:
         if not quality.is_usable or self.is_incomplete:
             return ""
         age = number - self.newest_keyframe().number
-        return self.tracker.why_keyframe(num_agreeing, age, is_mapping_behind=self.is_mapping_behind)
+        tracker, is_behind = self.tracker, self.is_mapping_behind
+        return tracker.choice.reason(
+            self.map, tracker.tracks, self.cam_from_world, num_agreeing, age, is_mapping_behind=is_behind
+        )

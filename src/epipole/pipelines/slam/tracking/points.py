@@ -121,6 +121,18 @@ def predict_pixels(
     return np.where(np.asarray(np.isfinite(guess)).all(axis=1, keepdims=True), guess, pixels)
 
 
+def parallax_px(
+    points_in_world: np.ndarray, pixels: np.ndarray, then: Rigid3, now: Rigid3, camera: Camera | CameraRig
+) -> float:
+    """Median motion of points in the image because the camera has moved between two poses, without that by its rotation; 0 without points."""
+    in_cam = now.apply(points_in_world)
+    as_from_then = in_cam + now.rotation @ (now.inverse().translation - then.inverse().translation)
+    shift = project_as(camera, in_cam, pixels) - project_as(camera, as_from_then, pixels)
+    length = np.linalg.norm(shift, axis=1)
+    known = length[np.isfinite(length)]
+    return float(np.median(known)) if len(known) else 0.0
+
+
 def locate(
     points_in_world: np.ndarray,
     pixels: np.ndarray,

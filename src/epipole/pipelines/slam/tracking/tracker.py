@@ -18,6 +18,7 @@ from epipole.pipelines.slam.shutter.recent_motion import RecentMotion
 from epipole.pipelines.slam.shutter.shutter import PREDICTED_SIGMA, UNKNOWN_SIGMA
 from epipole.pipelines.slam.tracking.depth import disparities_of
 from epipole.pipelines.slam.tracking.frame_quality import shows_something
+from epipole.pipelines.slam.tracking.keyframe_choice import KeyframeChoice
 from epipole.pipelines.slam.tracking.moving_objects import (
     LEAST_POINTS,
     find_moving_object,
@@ -36,8 +37,6 @@ SHUTTER_ROUNDS = 3
 """Alternations between a frame's pose and its motion during the readout."""
 STEP_PX = 0.7
 """A moving object moves at least this far from one frame to the next, in pixels."""
-WHILE_BEHIND = 0.5
-"""Factor of the limits of lost points at which a frame becomes a keyframe, while mapping is behind."""
 PROVEN_FRAMES = 3
 """Frames in which a point must have been an inlier before it determines the pose."""
 
@@ -62,7 +61,7 @@ class PointTracker:
         self.stale = np.zeros(0, np.int64)
         self.moving: MovingThing | None = None
         self.static_part: StaticPart | None = None
-        self._num_at_start = 1
+        self.choice = KeyframeChoice(config, self.camera)
         self._pose_before: Rigid3 | None = None
         self._images = (np.zeros((0, 0), np.uint8),) * 2
         """Previous and present image."""
@@ -140,13 +139,14 @@ class PointTracker:
         self.tracks.add(
             *redetect(self.map, self.camera, frame.gray, cam_from_world, self.tracks.point, reach)
         )
-        self.start_from(self.tracks)
+        self.start_from(self.tracks, cam_from_world)
         return self.estimate_pose(frame, cam_from_world)
 
     def take_up(self, frame: Frame, recognized: Recognition) -> tuple[RefinedPose, int] | None:
         """Start tracking from a relocalized frame; returns its pose."""
         self._pose_before = None
-        self.start_from(Tracks(recognized.pixels, recognized.points, recognized.pixels))
+        found = Tracks(recognized.pixels, recognized.points, recognized.pixels)
+        self.start_from(found, recognized.cam_from_world)
         return self.estimate_pose(frame, recognized.cam_from_world)
 
     def estimate_pose(
@@ -343,14 +343,15 @@ class PointTracker:
         for seen in self.waiting:
             seen.point = into[seen.point]
 
-    def start_from(self, tracks: Tracks) -> None:
-        """Replace the tracks."""
+    def start_from(self, tracks: Tracks, cam_from_world: Rigid3) -> None:
+        """Replace the tracks by those of a frame with this pose."""
         self.tracks, self.stale = tracks, np.zeros(0, np.int64)
-        self._num_at_start = max(int(self.map.is_triangulated(tracks.point).sum()), 1)
+        self.choice.start(self.map, tracks, cam_from_world)
 
     def start_from_keyframe(self, keyframe: Keyframe) -> None:
         """Track all points of a keyframe from its pixels."""
-        self.start_from(Tracks(keyframe.pixels.copy(), keyframe.point.copy(), keyframe.pixels.copy()))
+        tracks = Tracks(keyframe.pixels.copy(), keyframe.point.copy(), keyframe.pixels.copy())
+        self.start_from(tracks, keyframe.cam_from_world)
 
     def track_added(self, added: Observations, last: Frame, cam_from_world: Rigid3) -> None:
         """Track points that the newest keyframe has received from there to the last frame, whose pose is given."""
@@ -364,30 +365,13 @@ class PointTracker:
             tracks.track(keyframe.gray, last.gray, own, self.config, and_back=True)
         self.tracks.join(tracks)
         self.tracks.keep_first(self.camera)  # some may have been detected again meanwhile
-        self._num_at_start = max(int(self.map.is_triangulated(self.tracks.point).sum()), 1)
+        self.choice.count(self.map, self.tracks)
 
     def track_points_in_sight(self, frame: Frame, position: Rigid3) -> None:
         """Start tracking all points of the map that are in sight."""
         tracks = self.tracks
         tracks.add(*redetect(self.map, self.camera, frame.gray, position, tracks.point))
-        self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()))
-
-    def why_keyframe(self, num_agreeing: int, age: int, *, is_mapping_behind: bool = False) -> str:
-        """Why the present frame, `age` frames after the last keyframe, should become one; empty if it need not.
-
-        While mapping is behind, points of new keyframes are not adjusted yet, and tracking them loses points: only a loss of
-        about twice as many makes a keyframe, so that keyframes do not cause each other.
-        """
-        part = WHILE_BEHIND if is_mapping_behind else 1.0
-        if num_agreeing < part * self.config.keyframe_fraction * self._num_at_start:
-            return "fewer points in sight"
-        if num_agreeing < part * self.config.keyframe_points and age >= 3:
-            return "few points in sight"
-        if is_mapping_behind:
-            return ""
-        if self.tracks.shift_px() > self.config.keyframe_motion * self.camera.width:
-            return "the points have moved"
-        return "time has passed" if age >= self.config.keyframe_gap else ""
+        self.start_from(Tracks(tracks.pixels, tracks.point, tracks.pixels.copy()), position)
 
     def remove_outliers(self) -> None:
         """Stop tracking points whose observation in the newest keyframe was removed as an outlier."""

@@ -1,0 +1,62 @@
+"""Which frames become keyframes: those in which few of the points are left, or which see them from elsewhere."""
+
+from __future__ import annotations
+
+from epipole.cameras import Camera
+from epipole.geometry import Rigid3
+from epipole.pipelines.slam.config import OdometryConfig
+from epipole.pipelines.slam.map.slam_map import SlamMap
+from epipole.pipelines.slam.tracking.points import Tracks, parallax_px
+from epipole.scene import CameraRig
+
+WHILE_BEHIND = 0.5
+"""Factor of the limits of lost points at which a frame becomes a keyframe, while mapping is behind."""
+
+
+class KeyframeChoice:
+    """Compares a frame with the one from which its points are tracked.
+
+    A rotation of the camera counts only by the points that leave the image: it adds no parallax to those that stay.
+    """
+
+    def __init__(self, config: OdometryConfig, camera: Camera | CameraRig) -> None:
+        self.config, self.camera = config, camera
+        self._num_points, self._from_keyframe = 1, Rigid3.identity()
+
+    def start(self, model: SlamMap, tracks: Tracks, cam_from_world: Rigid3) -> None:
+        """Compare later frames with this one, by its tracks and pose."""
+        self.count(model, tracks)
+        # The newest keyframe moves with the map.
+        self._from_keyframe = cam_from_world @ model.newest_keyframe().cam_from_world.inverse()
+
+    def count(self, model: SlamMap, tracks: Tracks) -> None:
+        """Take the number of tracked points, triangulated ones only, for that at the start."""
+        self._num_points = max(int(model.is_triangulated(tracks.point).sum()), 1)
+
+    def reason(
+        self,
+        model: SlamMap,
+        tracks: Tracks,
+        cam_from_world: Rigid3,
+        num_agreeing: int,
+        age: int,
+        *,
+        is_mapping_behind: bool = False,
+    ) -> str:
+        """Why a frame, `age` frames after the last keyframe, should become one; empty if it need not.
+
+        While mapping is behind, points of new keyframes are not adjusted yet, and tracking them loses points: only a loss of
+        about twice as many makes a keyframe, so that keyframes do not cause each other.
+        """
+        part = WHILE_BEHIND if is_mapping_behind else 1.0
+        if num_agreeing < part * self.config.keyframe_fraction * self._num_points:
+            return "fewer points in sight"
+        if num_agreeing < part * self.config.keyframe_points and age >= 3:
+            return "few points in sight"
+        if is_mapping_behind:
+            return ""
+        start = self._from_keyframe @ model.newest_keyframe().cam_from_world
+        moved_px = parallax_px(model.xyz[tracks.point], tracks.pixels, start, cam_from_world, self.camera)
+        if moved_px > self.config.keyframe_motion * self.camera.width:
+            return "the points have moved"
+        return "time has passed" if age >= self.config.keyframe_gap else ""
