@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from epipole.cameras import Camera
 from epipole.geometry import Rigid3
 from epipole.pipelines.slam.config import OdometryConfig
+from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.tracking.points import Tracks, parallax_px
-from epipole.scene import CameraRig
 
 WHILE_BEHIND = 0.5
 """Factor of the limits of lost points at which a frame becomes a keyframe, while mapping is behind."""
+ROTATION_PART = 0.5
+"""Part of the motion in the image, including that by rotation, which counts for one camera."""
 
 
 class KeyframeChoice:
     """Compares a frame with the one from which its points are tracked.
 
-    A rotation of the camera counts only by the points that leave the image: it adds no parallax to those that stay.
+    A rotation counts by the points that leave the image: it adds no parallax to those that stay. With one camera it also counts by a
+    part of the motion in the image, since new points have no depth before a second keyframe sees them.
     """
 
-    def __init__(self, config: OdometryConfig, camera: Camera | CameraRig) -> None:
-        self.config, self.camera = config, camera
+    def __init__(self, config: OdometryConfig, sensor: SlamCamera) -> None:
+        self.config, self.sensor, self.camera = config, sensor, sensor.camera_or_rig
         self._num_points, self._from_keyframe = 1, Rigid3.identity()
 
     def start(self, model: SlamMap, tracks: Tracks, cam_from_world: Rigid3) -> None:
@@ -57,6 +59,8 @@ class KeyframeChoice:
             return ""
         start = self._from_keyframe @ model.newest_keyframe().cam_from_world
         moved_px = parallax_px(model.xyz[tracks.point], tracks.pixels, start, cam_from_world, self.camera)
+        if not self.sensor.measures_depth:
+            moved_px = max(moved_px, ROTATION_PART * tracks.shift_px())
         if moved_px > self.config.keyframe_motion * self.camera.width:
             return "the points have moved"
         return "time has passed" if age >= self.config.keyframe_gap else ""

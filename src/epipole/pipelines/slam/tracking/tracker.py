@@ -61,7 +61,7 @@ class PointTracker:
         self.stale = np.zeros(0, np.int64)
         self.moving: MovingThing | None = None
         self.static_part: StaticPart | None = None
-        self.choice = KeyframeChoice(config, self.camera)
+        self.choice = KeyframeChoice(config, sensor)
         self._pose_before: Rigid3 | None = None
         self._images = (np.zeros((0, 0), np.uint8),) * 2
         """Previous and present image."""
