@@ -23,6 +23,7 @@ from epipole.pipelines.slam.map.slam_map import Keyframe, Observations
 from epipole.pipelines.slam.map.triangulation import triangulate, triangulate_between_keyframes
 from epipole.pipelines.slam.tracking.frame_quality import FrameQuality
 from epipole.pipelines.slam.tracking.inertial_tracking import InertialTracking
+from epipole.pipelines.slam.tracking.keyframe_choice import IMU_PART
 from epipole.pipelines.slam.tracking.tracker import PointTracker
 
 
@@ -45,6 +46,8 @@ class Odometry:
         self.tracker = PointTracker(self.map, self.camera, mapper.focal_baseline, self.config)
         self.inserter = KeyframeInserter(self.map, self.camera, mapper.focal_baseline, self.config)
         self.inertial = None if mapper.inertial is None else InertialTracking(mapper.inertial)
+        if self.inertial is not None:
+            self.tracker.choice.motion_part = IMU_PART
         self.mapper, self.is_mapping_behind, self.is_incomplete = mapper, False, False
 
     def track(self, previous: Frame, frame: Frame) -> tuple[RefinedPose, int] | None:

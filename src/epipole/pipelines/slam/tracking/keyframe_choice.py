@@ -10,19 +10,24 @@ from epipole.pipelines.slam.tracking.points import Tracks, parallax_px
 
 WHILE_BEHIND = 0.5
 """Factor of the limits of lost points at which a frame becomes a keyframe, while mapping is behind."""
-ROTATION_PART = 0.5
-"""Part of the motion in the image, including that by rotation, which counts for one camera."""
+ONE_CAMERA_PART, IMU_PART = 0.5, 1.0
+"""Part of the motion in the image, including that by rotation, which counts for one camera and with an IMU."""
 
 
 class KeyframeChoice:
     """Compares a frame with the one from which its points are tracked.
 
-    A rotation counts by the points that leave the image: it adds no parallax to those that stay. With one camera it also counts by a
-    part of the motion in the image, since new points have no depth before a second keyframe sees them.
+    A rotation counts by the points that leave the image: it adds no parallax to those that stay. Motion in the image counts, too, for
+    one camera, since new points have no depth before a second keyframe sees them, and with an IMU, which is aligned by rotations and
+    motions between near keyframes.
+
+    Attributes:
+        motion_part: the part of the motion in the image that counts.
     """
 
     def __init__(self, config: OdometryConfig, sensor: SlamCamera) -> None:
-        self.config, self.sensor, self.camera = config, sensor, sensor.camera_or_rig
+        self.config, self.camera = config, sensor.camera_or_rig
+        self.motion_part = 0.0 if sensor.measures_depth else ONE_CAMERA_PART
         self._num_points, self._from_keyframe = 1, Rigid3.identity()
 
     def start(self, model: SlamMap, tracks: Tracks, cam_from_world: Rigid3) -> None:
@@ -59,8 +64,7 @@ class KeyframeChoice:
             return ""
         start = self._from_keyframe @ model.newest_keyframe().cam_from_world
         moved_px = parallax_px(model.xyz[tracks.point], tracks.pixels, start, cam_from_world, self.camera)
-        if not self.sensor.measures_depth:
-            moved_px = max(moved_px, ROTATION_PART * tracks.shift_px())
+        moved_px = max(moved_px, self.motion_part * tracks.shift_px())
         if moved_px > self.config.keyframe_motion * self.camera.width:
             return "the points have moved"
         return "time has passed" if age >= self.config.keyframe_gap else ""
