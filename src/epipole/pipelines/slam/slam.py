@@ -156,7 +156,11 @@ class Slam(SlamMapping):
     def _track(self, frame: Frame) -> TrackedFrame:
         """Track the points, estimate the pose and extend the map."""
         assert self._before is not None
-        found = self._quality.confirmed(self.odometry.track(self._before, frame), self.config)
+        num_points, tracked = (
+            self.odometry.tracker.choice.num_points,
+            self.odometry.track(self._before, frame),
+        )
+        found = self._quality.confirmed(tracked, num_points, self.config)
         if found is None:
             return self._find_pose(frame)
         if self._is_refuted(frame, found[0].cam_from_world):

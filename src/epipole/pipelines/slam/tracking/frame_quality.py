@@ -17,6 +17,8 @@ REMEMBERED = 15
 LEAST_REMEMBERED = 3
 CERTAIN = 2
 """Factor on the minimum number of inliers for an image with a problem."""
+CERTAIN_PART = 0.2
+"""Part of the points of the last keyframe that must agree in such an image."""
 BLURRED = 0.68
 """Fraction of the usual detail below which an image is blurred. The hand-held kitchen of 7-Scenes goes down to 0.71; 10 pixels of
 motion leave 0.60 to 0.67 in most images, 5 pixels 0.8."""
@@ -46,14 +48,21 @@ class FrameQuality:
         return not self.problem
 
     def confirmed(
-        self, found: tuple[RefinedPose, int] | None, config: OdometryConfig
+        self, found: tuple[RefinedPose, int] | None, num_points: int, config: OdometryConfig
     ) -> tuple[RefinedPose, int] | None:
         """The pose and its number of inliers; None if the image has a problem and the inliers are too few for that.
 
-        Points tracked in a blurred image have larger errors, all in the same direction.
+        Points tracked in a blurred image have larger errors, all in the same direction. Where few of many points agree, those that do
+        are in part chance.
+
+        Args:
+            found: pose and number of inliers.
+            num_points: points at the last keyframe.
+            config: the minimum number of inliers.
         """
-        is_certain = found is None or self.is_usable or found[1] >= CERTAIN * config.min_tracked
-        return found if is_certain else None
+        if found is None or self.is_usable:
+            return found
+        return found if found[1] >= max(CERTAIN * config.min_tracked, CERTAIN_PART * num_points) else None
 
     def with_quality(self, answer: TrackedFrame) -> TrackedFrame:
         """The answer with the problem as its reason; without a pose, the reason why there is none is appended."""

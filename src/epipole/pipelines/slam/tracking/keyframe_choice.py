@@ -23,12 +23,13 @@ class KeyframeChoice:
 
     Attributes:
         motion_part: the part of the motion in the image that counts.
+        num_points: triangulated points at the start.
     """
 
     def __init__(self, config: OdometryConfig, sensor: SlamCamera) -> None:
         self.config, self.camera = config, sensor.camera_or_rig
         self.motion_part = 0.0 if sensor.measures_depth else ONE_CAMERA_PART
-        self._num_points, self._from_keyframe = 1, Rigid3.identity()
+        self.num_points, self._from_keyframe = 1, Rigid3.identity()
 
     def start(self, model: SlamMap, tracks: Tracks, cam_from_world: Rigid3) -> None:
         """Compare later frames with this one, by its tracks and pose."""
@@ -38,7 +39,7 @@ class KeyframeChoice:
 
     def count(self, model: SlamMap, tracks: Tracks) -> None:
         """Take the number of tracked points, triangulated ones only, for that at the start."""
-        self._num_points = max(int(model.is_triangulated(tracks.point).sum()), 1)
+        self.num_points = max(int(model.is_triangulated(tracks.point).sum()), 1)
 
     def reason(
         self,
@@ -56,7 +57,7 @@ class KeyframeChoice:
         about twice as many makes a keyframe, so that keyframes do not cause each other.
         """
         part = WHILE_BEHIND if is_mapping_behind else 1.0
-        if num_agreeing < part * self.config.keyframe_fraction * self._num_points:
+        if num_agreeing < part * self.config.keyframe_fraction * self.num_points:
             return "fewer points in sight"
         if num_agreeing < part * self.config.keyframe_points and age >= 3:
             return "few points in sight"
