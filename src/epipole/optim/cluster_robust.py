@@ -88,11 +88,11 @@ def _scores(
     no_blocks = arrays.rows_of_zeros((1, lanes, lanes))
     stays = np.flatnonzero(layout.nodes.point >= 0)
 
-    def scores(begin: int, end: int, _chunk: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def scores(start: int, stop: int, _chunk: int) -> list[tuple[np.ndarray, np.ndarray]]:
         shapes = (images, wide, wide), (images, wide), (layout.num_nodes, lanes), (layout.num_nodes, lanes)
         normal, gradient_of_images, eliminated, gradient = map(arrays.rows_of_zeros, shapes)
         sums, scratch, found = (normal, gradient_of_images, eliminated), kernels.make_scratch(wide), []
-        for first, last in pairwise(edges[begin : end + 1].tolist()):
+        for first, last in pairwise(edges[start : stop + 1].tolist()):
             for part in (*sums, gradient):
                 part.fill(0.0)
             points = layout.observations, first, last, scene, layout.unknowns, layout.entries
