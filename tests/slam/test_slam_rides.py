@@ -6,12 +6,13 @@ from slam_rides import CAMERA, CAMERAS, MONO, RGBD, STEREO, ride, tracked
 
 from epipole import _parallel
 from epipole.errors import ConfigError, ShapeError
-from epipole.geometry import Rotation3
+from epipole.geometry import Rigid3, Rotation3
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera, TrackingState
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.slam import Slam
+from epipole.pipelines.slam.tracking.points import parallax_px
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +119,33 @@ def test_a_blank_wall_gives_no_begin():
         _, answers = tracked([Frame(0.1 * n, blank, **extra) for n in range(3)], camera)
         assert all(a.state is TrackingState.STARTING and a.world_from_body is None for a in answers)
         assert "blank" in answers[-1].reason
+
+
+@pytest.mark.parametrize("kind", ["rgbd", "stereo"])
+def test_only_parallax_may_make_keyframes(rides, kind):
+    slam, answers = tracked(ride().frames(kind), CAMERAS[kind], SlamConfig(keyframe_rotation=False))
+    assert all(a.state is TrackingState.TRACKING for a in answers)
+    # The camera looks at one point while it passes: its rotation hides a part of the parallax.
+    assert len(slam.map.keyframes) > len(rides[kind][0].map.keyframes)
+    error = absolute_error(slam.trajectory().world_from_body, ride().truth(), "none").position
+    assert error.rmse < 0.015
+    blank = np.full((240, 320), 128, np.uint8)
+    extra = {"right_gray": blank} if kind == "stereo" else {"depth": np.ones((240, 320), np.float32)}
+    tracked([Frame(0.0, blank, **extra)], CAMERAS[kind], SlamConfig(keyframe_rotation=False))
+
+
+def test_parallax_is_motion_without_rotation():
+    rng = np.random.default_rng(1)
+    points = rng.uniform([-1, -1, 3], [1, 1, 5], (50, 3))
+    first, moved = Rigid3.identity(), Rigid3(np.eye(3), np.array([0.1, 0.0, 0.0]))
+    rotated = Rigid3.exp(np.array([0.0, 0.0, 0.0, 0.02, -0.05, 0.1]))
+    pixels = CAMERA.project(rotated.apply(points))
+    assert parallax_px(points, pixels, first, rotated, CAMERA) < 1e-9
+    shift = np.linalg.norm(CAMERA.project(moved.apply(points)) - CAMERA.project(points), axis=1)
+    both = parallax_px(points, pixels, first, moved, CAMERA)
+    assert both == pytest.approx(float(np.median(shift)))
+    assert parallax_px(points, pixels, first, rotated @ moved, CAMERA) == pytest.approx(both, rel=0.2)
+    assert parallax_px(np.full((3, 3), np.nan), pixels[:3], first, moved, CAMERA) == 0.0
 
 
 def test_the_same_answers_on_any_number_of_threads():

@@ -198,7 +198,7 @@ GROUPS = {
     "tracking and mapping": (
         "--window-px --levels --max-return-px --min-eigenvalue --num-features --min-distance-px "
         "--corner-quality --max-error-px --min-tracked --keyframe-fraction --keyframe-motion "
-        "--keyframe-points --keyframe-gap --min-angle-deg --triangulation-angle-deg --start-angle-deg "
+        "--keyframe-rotation --keyframe-points --keyframe-gap --min-angle-deg --triangulation-angle-deg --start-angle-deg "
         "--lost-patience --window --max-fixed --depth-sigma-px --sensor-baseline-m --focal-sigma "
         "--center-sigma-px --depth-sigma --max-depth-baselines"
     ),

@@ -27,9 +27,8 @@ def calibration_files(path: Path) -> list[Path]:
     if not whole:
         known = ", ".join(" and ".join(group) for group in GROUPS)
         raise FileFormatError(path, f"a folder without a calibration: expected {known}")
-    if len(whole) > 1 and whole[0] != (
-        "calibration.json",
-    ):  # the other files beside it are the same calibration
+    is_own = whole[0] == GROUPS[0]  # whose other files are the same calibration
+    if len(whole) > 1 and not is_own:
         names = " or ".join(" and ".join(group) for group in whole)
         raise FileFormatError(path, f"the folder has two calibrations: pass the files, {names}")
     return [path / name for name in whole[0]]

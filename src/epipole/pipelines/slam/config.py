@@ -36,7 +36,9 @@ class OdometryConfig(FlowConfig):
     keyframe_fraction: float = 0.65
     """Insert a keyframe when fewer than this fraction of the last keyframe's points are inliers."""
     keyframe_motion: float = 0.04
-    """Insert a keyframe when the points have moved by this fraction of the image width, not counting the camera's rotation."""
+    """Insert a keyframe when the points have moved by this fraction of the image width."""
+    keyframe_rotation: bool = True
+    """Count motion by rotation, too. False (depth, no IMU): only parallax counts; a rolling shutter may not be detected."""
     keyframe_points: int = 150
     """Insert a keyframe when fewer than this many triangulated points are inliers."""
     keyframe_gap: int = 20

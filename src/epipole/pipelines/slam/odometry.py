@@ -23,7 +23,6 @@ from epipole.pipelines.slam.map.slam_map import Keyframe, Observations
 from epipole.pipelines.slam.map.triangulation import triangulate, triangulate_between_keyframes
 from epipole.pipelines.slam.tracking.frame_quality import FrameQuality
 from epipole.pipelines.slam.tracking.inertial_tracking import InertialTracking
-from epipole.pipelines.slam.tracking.keyframe_choice import IMU_PART
 from epipole.pipelines.slam.tracking.tracker import PointTracker
 
 
@@ -47,7 +46,7 @@ class Odometry:
         self.inserter = KeyframeInserter(self.map, self.camera, mapper.focal_baseline, self.config)
         self.inertial = None if mapper.inertial is None else InertialTracking(mapper.inertial)
         if self.inertial is not None:
-            self.tracker.choice.motion_part = IMU_PART
+            self.tracker.choice.counts_rotation = True
         self.mapper, self.is_mapping_behind, self.is_incomplete = mapper, False, False
 
     def track(self, previous: Frame, frame: Frame) -> tuple[RefinedPose, int] | None:
@@ -187,7 +186,7 @@ class Odometry:
 
     def newest_keyframe(self) -> Keyframe:
         """The last keyframe with points, which rotation-only keyframes do not have."""
-        return self.map.newest_keyframe()
+        return next(k for k in reversed(self.map.keyframes) if len(k.point))
 
     def _why_keyframe(self, num_agreeing: int, number: int, quality: FrameQuality) -> str:
         if not quality.is_usable or self.is_incomplete:

@@ -47,6 +47,7 @@ class SlamKeywords(TypedDict, total=False):
     min_tracked: int
     keyframe_fraction: float
     keyframe_motion: float
+    keyframe_rotation: bool
     keyframe_points: int
     keyframe_gap: int
     min_angle_deg: float

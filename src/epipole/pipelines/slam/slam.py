@@ -156,10 +156,8 @@ class Slam(SlamMapping):
     def _track(self, frame: Frame) -> TrackedFrame:
         """Track the points, estimate the pose and extend the map."""
         assert self._before is not None
-        num_points, tracked = (
-            self.odometry.tracker.choice.num_points,
-            self.odometry.track(self._before, frame),
-        )
+        num_points = self.odometry.tracker.choice.num_points
+        tracked = self.odometry.track(self._before, frame)
         found = self._quality.confirmed(tracked, num_points, self.config)
         if found is None:
             return self._find_pose(frame)

@@ -121,10 +121,6 @@ class SlamMap:
         """(p,) number of frames in which each point was an inlier of the pose. Writable."""
         return self._num_agreed[: self.num_points]
 
-    def newest_keyframe(self) -> Keyframe:
-        """The last keyframe with points, which rotation-only keyframes do not have."""
-        return next(k for k in reversed(self.keyframes) if len(k.point))
-
     def add_points(self, xyz: np.ndarray, pixels: np.ndarray, keyframe: int | np.ndarray) -> np.ndarray:
         """Add points first seen in a keyframe at these pixels; returns their rows."""
         first, self.num_points = self.num_points, self.num_points + len(xyz)

@@ -52,8 +52,7 @@ class FrameQuality:
     ) -> tuple[RefinedPose, int] | None:
         """The pose and its number of inliers; None if the image has a problem and the inliers are too few for that.
 
-        Points tracked in a blurred image have larger errors, all in the same direction. Where few of many points agree, those that do
-        are in part chance.
+        Points tracked in a blurred image have larger errors, all in the same direction. Where few of many points agree, some do by chance.
 
         Args:
             found: pose and number of inliers.

@@ -10,32 +10,30 @@ from epipole.pipelines.slam.tracking.points import Tracks, parallax_px
 
 WHILE_BEHIND = 0.5
 """Factor of the limits of lost points at which a frame becomes a keyframe, while mapping is behind."""
-ONE_CAMERA_PART, IMU_PART = 0.5, 1.0
-"""Part of the motion in the image, including that by rotation, which counts for one camera and with an IMU."""
 
 
 class KeyframeChoice:
     """Compares a frame with the one from which its points are tracked.
 
-    A rotation counts by the points that leave the image: it adds no parallax to those that stay. Motion in the image counts, too, for
-    one camera, since new points have no depth before a second keyframe sees them, and with an IMU, which is aligned by rotations and
-    motions between near keyframes.
+    A rotation adds no parallax to the points that stay in the image. It may count only by those that leave it
+    (`OdometryConfig.keyframe_rotation`), but not for one camera, whose new points have no depth before a second keyframe sees them,
+    and not with an IMU, which is aligned by rotations and motions between near keyframes.
 
     Attributes:
-        motion_part: the part of the motion in the image that counts.
+        counts_rotation: whether motion in the image by rotation counts.
         num_points: triangulated points at the start.
     """
 
     def __init__(self, config: OdometryConfig, sensor: SlamCamera) -> None:
         self.config, self.camera = config, sensor.camera_or_rig
-        self.motion_part = 0.0 if sensor.measures_depth else ONE_CAMERA_PART
+        self.counts_rotation = config.keyframe_rotation or not sensor.measures_depth
         self.num_points, self._from_keyframe = 1, Rigid3.identity()
 
     def start(self, model: SlamMap, tracks: Tracks, cam_from_world: Rigid3) -> None:
         """Compare later frames with this one, by its tracks and pose."""
         self.count(model, tracks)
-        # The newest keyframe moves with the map.
-        self._from_keyframe = cam_from_world @ model.newest_keyframe().cam_from_world.inverse()
+        if not self.counts_rotation:  # relative to the newest keyframe, which moves with the map
+            self._from_keyframe = cam_from_world @ _newest_pose(model, cam_from_world).inverse()
 
     def count(self, model: SlamMap, tracks: Tracks) -> None:
         """Take the number of tracked points, triangulated ones only, for that at the start."""
@@ -63,9 +61,16 @@ class KeyframeChoice:
             return "few points in sight"
         if is_mapping_behind:
             return ""
-        start = self._from_keyframe @ model.newest_keyframe().cam_from_world
-        moved_px = parallax_px(model.xyz[tracks.point], tracks.pixels, start, cam_from_world, self.camera)
-        moved_px = max(moved_px, self.motion_part * tracks.shift_px())
+        if self.counts_rotation:
+            moved_px = tracks.shift_px()
+        else:
+            start = self._from_keyframe @ _newest_pose(model, cam_from_world)
+            moved_px = parallax_px(model.xyz[tracks.point], tracks.pixels, start, cam_from_world, self.camera)
         if moved_px > self.config.keyframe_motion * self.camera.width:
             return "the points have moved"
         return "time has passed" if age >= self.config.keyframe_gap else ""
+
+
+def _newest_pose(model: SlamMap, otherwise: Rigid3) -> Rigid3:
+    """Pose of the newest keyframe with points; a blank wall gives none."""
+    return next((k.cam_from_world for k in reversed(model.keyframes) if len(k.point)), otherwise)
