@@ -104,7 +104,7 @@ class CameraOptions:
     camera_params: str | None = None
     """Comma-separated intrinsics in COLMAP's order, such as 525,525,320,240 (fx,fy,cx,cy); cx,cy: OpenCV's plus 0.5."""
     calibration: Path | None = None
-    """Calibration file of `epipole calibrate`, OpenCV, ROS or Kalibr, or a folder with left.yaml and right.yaml (ROS)."""
+    """Calibration file of epipole, OpenCV, ROS or Kalibr, or folder with left.yaml, right.yaml."""
     readout_s: float = 0.0
     """Rolling shutter: seconds from the first row to the one after the last; 0: global shutter."""
     depth_scale: float | None = None
