@@ -329,7 +329,17 @@ def test_a_folder_has_the_files_of_a_pair(tmp_path):
         CameraOptions(calibration=tmp_path).camera((64, 48))
     for name in ("left.yml", "right.yml"):
         write_ros_yaml(tmp_path / name, camera, "other", np.eye(3), projection)
-    with pytest.raises(FileFormatError, match="two calibrations: pass the files, left"):
+    with pytest.raises(FileFormatError, match="several calibrations: pass the files, left"):
         read_calibration(tmp_path)
-    write_calibration(tmp_path / "calibration.json", CalibrationFile((camera,), Rigid3.identity(1)))
-    assert len(read_calibration(tmp_path).cameras) == 1
+    own = tmp_path / "own"
+    own.mkdir()
+    write_calibration(own / "calibration.json", CalibrationFile((camera,), Rigid3.identity(1)))
+    for name in ("left", "right"):  # as `epipole calibrate` writes them
+        write_ros_yaml(own / f"ros_{name}.yaml", camera, name, np.eye(3), projection)
+    assert len(read_calibration(own).cameras) == 1
+    for name in ("left", "right"):
+        (own / f"ros_{name}.yaml").rename(own / f"{name}.yaml")
+    with pytest.raises(
+        FileFormatError, match=r"several calibrations: pass the files, calibration\.json or left"
+    ):
+        read_calibration(own)

@@ -7,11 +7,13 @@ from slam_rides import CAMERA, CAMERAS, MONO, RGBD, STEREO, ride, tracked
 from epipole import _parallel
 from epipole.errors import ConfigError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
+from epipole.mapping import RefinedPose
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import DepthCamera, Frame, SlamCamera, TrackingState
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.slam import Slam
+from epipole.pipelines.slam.tracking.frame_quality import FrameQuality
 from epipole.pipelines.slam.tracking.points import parallax_px
 
 
@@ -132,6 +134,15 @@ def test_only_parallax_may_make_keyframes(rides, kind):
     blank = np.full((240, 320), 128, np.uint8)
     extra = {"right_gray": blank} if kind == "stereo" else {"depth": np.ones((240, 320), np.float32)}
     tracked([Frame(0.0, blank, **extra)], CAMERAS[kind], SlamConfig(keyframe_rotation=False))
+
+
+def test_few_of_many_points_in_a_blurred_image_give_no_pose():
+    pose, blurred = RefinedPose.__new__(RefinedPose), FrameQuality("the image is blurred")
+    few = 2 * SlamConfig().min_tracked + 4
+    assert blurred.confirmed((pose, few), 100, SlamConfig()) == (pose, few)
+    assert blurred.confirmed((pose, few), 250, SlamConfig()) is None
+    assert FrameQuality().confirmed((pose, few), 250, SlamConfig()) == (pose, few)
+    assert blurred.confirmed(None, 250, SlamConfig()) is None
 
 
 def test_parallax_is_motion_without_rotation():

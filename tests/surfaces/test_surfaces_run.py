@@ -220,9 +220,9 @@ def test_options_of_later_stages_are_named():
     assert SurfaceConfig(until="survey", crs="EPSG:32632", faces=100, formats=("obj",)).unused() == []
     assert SurfaceConfig(laz=True, crs="EPSG:32632", voxel=0.1).unused() == []
     crs, crop = SurfaceConfig(crs="EPSG:32632", crop=(0.0, 0.0, 1.0, 1.0)).unused()
-    assert "--crs has no effect: it belongs to the stage survey or --laz" in crs and "--crop" in crop
+    assert "--crs has no effect" in crs and "it is used by survey and --laz" in crs and "--crop" in crop
     (faces,) = SurfaceConfig(until="cloud", faces=100).unused()
-    assert "--faces" in faces and "the stage mesh, but this run ends with cloud" in faces
+    assert "--faces" in faces and "ends with cloud (--until): it is used by mesh" in faces
 
 
 def test_images_of_which_little_can_be_undistorted_are_said(tmp_path):

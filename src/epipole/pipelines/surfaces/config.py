@@ -111,8 +111,8 @@ class SurfaceConfig:
             used = {"crs"} if self.laz else set()
             passed = [name for name in names if name not in used and getattr(self, name) != _default(name)]
             notes += [
-                f"--{name.replace('_', '-')} has no effect: it belongs to the stage {stage}{' or --laz' if name == 'crs' else ''},"
-                f" but this run ends with {self.until} (--until)"
+                f"--{name.replace('_', '-')} has no effect, since this run ends with {self.until} (--until):"
+                f" it is used by {stage}{' and --laz' if name == 'crs' else ''}"
                 for name in passed
             ]
         return notes

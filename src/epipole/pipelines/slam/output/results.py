@@ -183,6 +183,7 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
         blind = [pixels_without_ray(one) for one in cameras]
         run.warnings += [words for one in cameras for words in no_ray_warning(one)]
         run.warnings += [] if shutter is None else [shutter.warning()]
+        run.warnings += [] if is_unchecked else _keyframe_notes(system)
         run.warnings += [] if mounting is None else mounting.warnings()
         run.warnings += [*camera_warnings(camera, model.right_shift_px), *warnings(tracked, path)]
         return {
@@ -194,6 +195,17 @@ def _checked(system: Slam, tracked: Sequence[TrackedFrame], path: Trajectory, ru
             "poor_images": poor_images(tracked),
             "moving": moving_things(tracked),
         }
+
+
+def _keyframe_notes(system: Slam) -> list[str]:
+    """What `keyframe_rotation` set to False does not change, or prevents."""
+    if system.config.keyframe_rotation:
+        return []
+    if system.odometry.tracker.choice.counts_rotation:
+        return ["--no-keyframe-rotation has no effect with one camera or an IMU"]
+    return [
+        "a rolling shutter may not be detected with --no-keyframe-rotation: the keyframes rotate too little"
+    ]
 
 
 def _covariance_words(system: Slam) -> str:
