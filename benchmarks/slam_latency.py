@@ -1,7 +1,8 @@
 """Time per frame of `Slam.track` at a camera's rate, with the map adjusted inline and in a thread. `python -m benchmarks.slam_latency`.
 
 Frames are given at their times, as a camera does. A frame is late if it arrives more than one period before tracking takes it; a live
-camera would have dropped it. Sequences go forth and back until there are enough frames. Results: `results/slam_latency.json`.
+camera would have dropped it. Sequences go forth and back until there are enough frames. Results: `results/slam_latency.json`, or
+`results/slam_keyframes.json` with `--no-keyframe-rotation`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from epipole.geometry import Rigid3
 from epipole.io.sequences.sequence import read_sequence
 from epipole.io.trajectories.true_trajectories import true_path_at
 from epipole.metrics import absolute_error, associate
-from epipole.pipelines.slam.config import JobOptions
+from epipole.pipelines.slam.config import JobOptions, SlamConfig
 from epipole.pipelines.slam.frames import Frame, SlamCamera
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.sources.folder import open_sequence
@@ -54,17 +55,20 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=1000)
     parser.add_argument("--data", type=Path)
     parser.add_argument("--results", type=Path, default=REPOSITORY / "benchmarks" / "results")
+    parser.add_argument("--keyframe-rotation", action=argparse.BooleanOptionalAction, default=True)
     arguments = parser.parse_args()
+    config = SlamConfig(keyframe_rotation=arguments.keyframe_rotation)
     rows = []
     for name in arguments.sequence:
         recorded = SEQUENCES[name](data_root(arguments.data))
-        _run(recorded, 60, "inline")  # compiles kernels
+        _run(recorded, 60, "inline", config)  # compiles kernels
         for mode in MODES:
-            rows.append({"sequence": name, "mapping": mode, **_run(recorded, arguments.frames, mode)})
+            rows.append({"sequence": name, "mapping": mode, **_run(recorded, arguments.frames, mode, config)})
             print(rows[-1])
     Console(width=150).print(_table(rows))
     report = {"machine": describe_machine(2), "rows": rows}
-    (arguments.results / "slam_latency.json").write_text(json.dumps(report, indent=1) + "\n")
+    name = "slam_latency" if arguments.keyframe_rotation else "slam_keyframes"
+    (arguments.results / f"{name}.json").write_text(json.dumps(report, indent=1) + "\n")
 
 
 def _folder(data: Path, name: str, sensor: str, rate_hz: float, truth: str, truth_hz: float) -> Recorded:
@@ -111,9 +115,11 @@ def _order(count: int, wanted: int) -> Iterator[int]:
         yield k if k < count else period - k
 
 
-def _run(recorded: Recorded, wanted: int, mode: Literal["inline", "thread"]) -> dict[str, Any]:
+def _run(
+    recorded: Recorded, wanted: int, mode: Literal["inline", "thread"], config: SlamConfig
+) -> dict[str, Any]:
     """Figures of one run."""
-    slam, rate = Slam(recorded.camera, mapping=mode), recorded.rate_hz
+    slam, rate, processor = Slam(recorded.camera, config, mapping=mode), recorded.rate_hz, time.process_time()
     order, seconds, late, poses, keyframes = list(_order(len(recorded.frames), wanted)), [], 0, {}, 0
     begin = time.perf_counter()
     for n, k in enumerate(order):
@@ -137,6 +143,7 @@ def _run(recorded: Recorded, wanted: int, mode: Literal["inline", "thread"]) -> 
         "tracked": len(poses),
         "late": int(late),
         "keyframes": keyframes,
+        "processor_s": time.process_time() - processor,
         "merged": 0 if slam.mapping_thread is None else slam.mapping_thread.num_merged,
         "median_ms": float(np.median(ms)),
         "p95_ms": float(np.percentile(ms, 95)),
