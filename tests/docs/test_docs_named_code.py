@@ -22,5 +22,5 @@ def test_what_a_page_names_exists(page: str) -> None:
     for name in re.findall(r"`([A-Z_]{4,})`", text):
         assert re.search(rf"^{name}\b.* = ", source, re.MULTILINE), name
     options = option_names(_functions()["slam"])
-    for name in re.findall(r"`(--[\w-]+)", text):
-        assert any(option == name or option.endswith(f".{name[2:]}") for option in options), name
+    for name in re.findall(r"`--(?:no-)?([\w-]+)", text):
+        assert any(option == f"--{name}" or option.endswith(f".{name}") for option in options), name

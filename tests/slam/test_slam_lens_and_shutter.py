@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from epipole.cameras import Camera
+from epipole.pipelines.slam.config import SlamConfig
 from epipole.pipelines.slam.frames import SlamCamera
 from epipole.pipelines.slam.output import results
 from epipole.pipelines.slam.output.camera_check import CameraCheck
@@ -55,7 +56,11 @@ def test_both_are_said(mapper, monkeypatch, has_shutter, given_px, is_wrong):
     pinhole = Camera("PINHOLE", 640, 480, [given_px, given_px, 319.5, 239.5])
     camera = SlamCamera(pinhole)
     system = SimpleNamespace(
-        maps=[mapper.map], camera=camera, local_mapper=lambda _: mapper, trajectory=lambda: None
+        maps=[mapper.map],
+        camera=camera,
+        config=SlamConfig(),
+        local_mapper=lambda _: mapper,
+        trajectory=lambda: None,
     )
     run = SimpleNamespace(stage=lambda _: nullcontext(), warnings=[])
     facts = results._checked(system, [], None, run)
