@@ -6,6 +6,7 @@
 - cloud: precision, recall and F-score of the fused cloud and of the mesh.
 - texture: held-out views rendered from the textured mesh, beside splats trained for a minute.
 - memory: peak memory on images of 12 megapixels.
+- patch match: PatchMatch with slanted windows, which was not chosen, beside the depth of `epipole surface`: half an hour.
 - survey: height models and orthophotos of rendered drone flights.
 - survey peers: pyOrthomosaic on the same photographs, in a Python that has it (`--orthomosaic-python`).
 - peers: Open3D's TSDF and Poisson surfaces of the same depths, in a Python that has Open3D (`--open3d-python`).
@@ -29,6 +30,7 @@ from rich.table import Table
 
 from benchmarks.measure import REPOSITORY, describe_machine
 from benchmarks.surface_depth import depth_part, fit_shared, real_part, stereo_part
+from benchmarks.surface_patch_match import patch_match_part
 from benchmarks.surface_shapes import cloud_part, memory_part, peers_part
 from benchmarks.surface_survey import survey_part, survey_peers_part
 from benchmarks.surface_texture import texture_part
@@ -36,6 +38,9 @@ from benchmarks.tasks.sfm import data_root
 from epipole import _parallel
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "surfaces.json"
+PARTS = ("depth", "real", "stereo", "cloud", "texture", "memory", "survey")
+COMPARED = ("patch match", "peers", "survey peers")
+"""Parts that measure other methods and programs, which run only on request."""
 THREADS = 2
 IN_SAMPLE = ("courtyard",)
 """Scenes that were used while the code was written."""
@@ -51,6 +56,7 @@ def parts_of(arguments: argparse.Namespace) -> dict[str, Callable[[Path, Path], 
         "texture": texture_part,
         "memory": lambda work, _: memory_part(work, arguments.views),
         "survey": survey_part,
+        "patch match": patch_match_part,
         "peers": partial(peers_part, python=arguments.open3d_python),
         "survey peers": partial(survey_peers_part, python=arguments.orthomosaic_python),
     }
@@ -70,8 +76,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    names = ("depth", "real", "stereo", "cloud", "texture", "memory", "survey", "peers", "survey peers")
-    parser.add_argument("--part", nargs="+", choices=names, default=list(names[:-2]))
+    parser.add_argument("--part", nargs="+", choices=PARTS + COMPARED, default=list(PARTS))
     parser.add_argument(
         "--fit", action="store_true", help="refit SHARED of dense/depth.py on the courtyard instead"
     )
