@@ -282,6 +282,7 @@ def _images() -> Iterator[Row]:
             photograph_writing.write_photograph,
             {"path": at / name, "pixels": rgb},
         )
+    yield _row(photograph_writing.encoded_photograph, path=at / "encoded.png", pixels=rgb)
     gps = {"focal_35mm": 35.0, "make": "a", "model": "b", "gps": (1.0, 2.0, 3.0)}
     yield _row(photographs.write_jpeg_with_exif, path=at / "a.jpg", rgb=rgb, **gps)
     yield _row(rgba_pictures.read_rgba, path=png)

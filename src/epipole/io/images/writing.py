@@ -69,6 +69,26 @@ def write_photograph(
         ShapeError: the pixels are not gray, RGB or RGBA, or the array is empty.
         WorkspaceError: the file cannot be written.
     """
+    content = encoded_photograph(path, pixels, exif)
+    with atomic_write(path) as part:
+        part.write_bytes(content)
+
+
+@checked
+def encoded_photograph(
+    path: Path, pixels: UInt8[np.ndarray, "h w *channels"], exif: Image.Exif | None = None
+) -> bytes:
+    """The content of the file that `write_photograph` writes.
+
+    Args:
+        path: the file, whose suffix gives the format.
+        pixels: upright pixels.
+        exif: camera metadata; its orientation is dropped.
+
+    Raises:
+        FileFormatError: the suffix is not that of a format that can be written here.
+        ShapeError: the pixels are not gray, RGB or RGBA, or the array is empty.
+    """
     if not pixels.size or pixels.shape[2:] not in ((), (3,), (4,)):
         raise ShapeError(f"pixels must be a non-empty (h, w), (h, w, 3) or (h, w, 4), got {pixels.shape}")
     target_format = _format_of_target(path)
@@ -86,8 +106,7 @@ def write_photograph(
     except (*PILLOW_ERRORS, ImportError) as error:
         problem = f"cannot write {target_format} here ({error})"
         raise FileFormatError(path, f"{problem}; convert the image to JPEG or PNG first") from error
-    with atomic_write(path) as part:
-        part.write_bytes(encoded.getvalue())
+    return encoded.getvalue()
 
 
 def _format_of_target(path: Path) -> str:

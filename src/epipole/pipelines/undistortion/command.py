@@ -15,6 +15,8 @@ def undistort(
     target: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[DEST]")] = None,
     model: int | None = None,
     stmaps: bool = False,
+    cluster: str | None = None,
+    shared_folder: bool = True,
 ) -> None:
     """Undistort images: write them with a PINHOLE model, for splat trainers and MVS.
 
@@ -23,11 +25,15 @@ def undistort(
         target: Where to write; default OUT/undistorted, or OUT/undistorted-1 for model 1.
         model: Number of the model in OUT/sparse, if there are several; the largest is 0.
         stmaps: Also write STMaps (TIFF) that undistort and distort images in Nuke and similar programs.
+        cluster: Process images on a Dask cluster: tcp://HOST:PORT, tls://HOST:PORT, local:N or slurm:N.
+        shared_folder: All machines of the cluster see images and output folder under the same paths; otherwise files are sent.
     """
+    from epipole.runs import Cluster
     from epipole.screen import progress_on_screen
 
     with progress_on_screen({"undistort": "Undistorting"}) as progress:
         from epipole.pipelines.undistortion.run import undistort as run
 
-        folder = run(out, progress, target=target, model=model, stmaps=stmaps)
+        executor = None if cluster is None else Cluster(cluster, shared_folder)
+        folder = run(out, progress, target=target, model=model, stmaps=stmaps, executor=executor)
     say(f"Undistorted images and model in {folder}")

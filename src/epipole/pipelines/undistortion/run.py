@@ -1,29 +1,50 @@
-"""The undistortion job: undistorted images and a PINHOLE model, for splat trainers and MVS; STMaps for compositing."""
+"""The undistortion job: undistorted images and a PINHOLE model, for splat trainers and MVS; STMaps for compositing.
+
+Each image is a unit of work. Its result is the content of the image file, which moves to `images` when all are done.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from epipole._checks import as_path, checked
+from epipole._checks.tables import Expected, Table
 from epipole.cameras import Camera
 from epipole.errors import FileFormatError
 from epipole.image import distortion_stmap, undistort_image, undistorted_camera, undistortion_stmap
+from epipole.io.atomic import atomic_write
 from epipole.io.colmap.model import find_model, read_colmap_model, write_colmap_model
 from epipole.io.contents_in_words import with_what_it_is
-from epipole.io.images.photographs import common_range
+from epipole.io.images.photographs import GrayRange, common_range
 from epipole.io.images.stmaps import write_stmap
-from epipole.io.images.writing import write_photograph
+from epipole.io.images.writing import encoded_photograph
 from epipole.io.models.images import ModelImage, ModelImages
 from epipole.io.models.losses import losses_in
-from epipole.runs import Job, ProgressCallback, Run, has_own_model, ignore_progress, open_run
+from epipole.runs import (
+    Job,
+    PassedExecutor,
+    ProgressCallback,
+    Run,
+    Unit,
+    chosen_executor,
+    digest,
+    has_own_model,
+    ignore_progress,
+    load,
+    open_run,
+)
 from epipole.scene import Cameras, Reconstruction
 
 STMAPS = "stmaps"
 """Folder of the maps, and their group in the folder's marker."""
+UNITS = "units"
+"""Folder of the results of a run that has not ended."""
+FILE: Table = {"content": Expected("uint8", "n")}
 _MAKERS = {"undistort": undistortion_stmap, "distort": distortion_stmap}
 
 
@@ -35,10 +56,11 @@ def undistort(
     target: str | Path | None = None,
     model: int | None = None,
     stmaps: bool = False,
+    executor: PassedExecutor | None = None,
 ) -> Path:
     """Write undistorted images and a PINHOLE model, for splat trainers and MVS.
 
-    STMaps are `stmaps/camera_1_undistort.tif` and `stmaps/camera_1_distort.tif`, with the camera's number in the model.
+    An interrupted run continues with the images that are left. STMaps are `stmaps/camera_1_undistort.tif` and `stmaps/camera_1_distort.tif`, with the camera's number in the model.
 
     Args:
         out: output folder of a reconstruction, or a model in it (`OUT/sparse/1`).
@@ -46,6 +68,7 @@ def undistort(
         target: where to write; None: `OUT/undistorted`, or `OUT/undistorted-1` for model 1 and so on.
         model: number of the model in `OUT/sparse`; None: the largest, 0.
         stmaps: also write maps that undistort, and distort again, the images of each camera in compositing programs.
+        executor: executor for images, as for `reconstruct`; None: threads.
 
     Returns:
         The folder, with `images/`, `sparse/0/` and, with `stmaps`, `stmaps/`.
@@ -70,22 +93,65 @@ def undistort(
     is_further = folder.parent.name == "sparse" and folder.name != "0"
     usual = workspace / (f"undistorted-{folder.name}" if is_further else "undistorted")
     limits = common_range([image.path for image in images])
-    job = Job(kind="undistort", inputs=(folder,), settings={}, progress=progress)
+    work = chosen_executor(executor, None, has_shared_folder=True)
+    job = Job(kind="undistort", inputs=(folder,), settings={}, progress=progress, executor=work)
     with open_run(job, usual if target is None else as_path(target)) as run:
         run.warnings += [] if model is not None else losses_in(given)
         for warning in run.warnings:
             run.report("undistort", 0, len(names), warning)
+        targets = [run.root / "images" / name for name in names]
+        of_image = [pinholes[int(found.camera_of_image[row])] for row in registered]
+        payloads = [ImagePayload(*one, limits) for one in zip(images, of_image, targets)]
+        units = [_unit(run.root / UNITS, payload) for payload in payloads]
         with run.folder.replacing("images", [f"images/{name}" for name in names]):
-            for n, (row, name, image) in enumerate(zip(registered, names, images), 1):
-                pinhole = pinholes[int(found.camera_of_image[row])]
-                rgb = undistort_image(image.read(limits=limits), image.camera, pinhole)
-                write_photograph(run.root / "images" / name, rgb)
-                run.report("undistort", n, len(names))
+            run.do(units, "undistort")
+            for unit, path in zip(units, targets):
+                _move(unit, path)
+        with suppress(OSError):  # it may hold files of the user
+            (run.root / UNITS).rmdir()
         _write_stmaps(run, cameras if stmaps else {}, pinholes)
         with run.folder.publish("model") as aside:
             write_colmap_model(without_distortion(found, pinholes), aside / "sparse" / "0")
         run.finish({"num_images": len(names), "warnings": run.warnings})
         return run.root
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImagePayload:
+    """Input of the unit of one image."""
+
+    image: ModelImage
+    pinhole: Camera
+    target: Path
+    """The undistorted image, whose suffix gives the format."""
+    limits: GrayRange | None
+
+
+def _unit(folder: Path, payload: ImagePayload) -> Unit:
+    """The unit of an image; its key covers the state of the file, and everything that is done to it."""
+    image, state = payload.image, payload.image.path.stat()
+    cameras = [
+        [one.model.name, one.width, one.height, one.params.tolist()]
+        for one in (image.camera, payload.pinhole)
+    ]
+    file = [str(image.path), state.st_size, state.st_mtime_ns, image.orientation, payload.target.suffix]
+    key = digest("undistort", file, cameras, payload.limits)
+    return Unit(folder / f"{key}.npz", key, undistorted_file, payload)
+
+
+def undistorted_file(payload: ImagePayload) -> dict[str, np.ndarray]:
+    """Content of the undistorted image's file."""
+    rgb = payload.image.read(limits=payload.limits)
+    undistorted = undistort_image(rgb, payload.image.camera, payload.pinhole)
+    return {"content": np.frombuffer(encoded_photograph(payload.target, undistorted), np.uint8)}
+
+
+def _move(unit: Unit, path: Path) -> None:
+    """Write the image of a unit, whose file is then needed no more: the disk holds only one image twice."""
+    content = load(unit.path, FILE)["content"]
+    with atomic_write(path) as aside:
+        aside.write_bytes(content.tobytes())
+    unit.path.unlink()
 
 
 def _write_stmaps(run: Run, cameras: Mapping[int, Camera], pinholes: Sequence[Camera]) -> None:
