@@ -169,12 +169,16 @@ def stereo_part(_work: Path, data: Path) -> dict[str, dict[str, float]]:
         task = tasks[name]
         found = epipole.match_stereo(task.left, task.right, max_disparity_px=task.num_disparities - 1)
         rows[f"{name}, match_stereo"] = figures(found.disparity_px, task)
-        rows[f"{name}, view_depth"] = figures(disparity_of_view_depth(task, name), task)
+        disparity, sigma = disparity_of_view_depth(task, name)
+        both = np.isfinite(disparity) & task.seen
+        ratio = (np.abs(disparity - task.truth) / sigma)[both]
+        within = {f"within {n} sigma": float((ratio <= n).mean()) for n in (1, 2)}
+        rows[f"{name}, view_depth"] = figures(disparity, task) | within
     return rows
 
 
-def disparity_of_view_depth(task: StereoTask, name: str) -> np.ndarray:
-    """Disparities that the depth of the left image corresponds to; its only source is the right image."""
+def disparity_of_view_depth(task: StereoTask, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Disparities that the depth of the left image corresponds to, and their sigmas; its only source is the right image."""
     focal, cx, cy, offset, baseline = CALIBRATIONS[name]
     height, width = task.left.shape
     views = []
@@ -184,4 +188,5 @@ def disparity_of_view_depth(task: StereoTask, name: str) -> np.ndarray:
         views.append(DenseView(side, rgb, camera, Rigid3(np.eye(3), np.array([-shift, 0.0, 0.0]))))
     largest, least = task.num_disparities - 1 + offset, max(offset, 1.0)
     found = view_depth(views[0], views[1:], (focal * baseline / largest, focal * baseline / least))
-    return np.asarray(focal * baseline / found.depth - offset)
+    scale = focal * baseline / found.depth
+    return scale - offset, scale * found.sigma / found.depth
