@@ -97,6 +97,24 @@ def test_pictures_taken_near_each_other_are_compared() -> None:
     assert chosen(images, road, method="spatial", neighbors=2) == look_alikes | near | further
 
 
+@pytest.mark.parametrize("method", ["retrieval", "spatial"])
+def test_photographs_taken_one_after_the_other_are_compared_first(method: str) -> None:
+    """In the order of time: 3, 1, then 0 and 4 in the same second, by name, and 2 after a pause. Six others have no time."""
+    images = images_of([0, 1, 2, 3, 4, 0, 0, 1, 2, 3, 4, 0])
+    road = positions([1000.0 * k for k in range(12)])
+    options = PairingConfig(method=method, neighbors=2, first_neighbors=1)
+    names = ["img_9.jpg", "b.jpg", "c.jpg", "a.jpg", "img_10.jpg", *"defghij"]
+    taken_s = np.array([30.0, 20.0, 91.0, 10.0, 30.0, *[np.nan] * 7])
+    without = choose_pairs(images, road, options, is_video=False, names=names)
+    found = choose_pairs(images, road, options, is_video=False, names=names, taken_s=taken_s)
+    following = {(1, 3), (0, 3), (0, 1), (1, 4), (0, 4)}
+    first = {*map(tuple, without.first.tolist())}
+    assert not following <= first and {*map(tuple, found.first.tolist())} == first | following
+    assert not following & {*map(tuple, found.later.tolist())}
+    never = choose_pairs(images, road, options, is_video=False, names=names, taken_s=np.full(12, np.nan))
+    assert never.first.tolist() == without.first.tolist()
+
+
 def test_a_picture_without_a_place_is_compared_with_its_look_alikes() -> None:
     images = images_of([0] * 6 + [1] * 6)
     road = [100.0 * k for k in range(6)] + [100.0 * k + 10.0 for k in range(6)]

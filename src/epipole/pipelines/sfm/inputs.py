@@ -135,7 +135,12 @@ def pairs_to_match(
             further_pairs(descriptors, keypoints, images.names, earlier, config.pairing.neighbors)
         )
     return choose_pairs(
-        descriptors, images.lat_lon_alt, config.pairing, is_video=images.is_video, names=images.names
+        descriptors,
+        images.lat_lon_alt,
+        config.pairing,
+        is_video=images.is_video,
+        names=images.names,
+        taken_s=images.taken_s,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC
 from itertools import islice
 from pathlib import Path
 
@@ -58,6 +59,8 @@ class ImageSet:
     """Notes on the choice of images and masks."""
     known_poses: KnownPoses | None = None
     """Poses that are known approximately."""
+    taken_s: Float64[np.ndarray, " n"] | None = None
+    """When each photograph was taken by its EXIF, in seconds of the camera's clock; NaN where unknown; None: all."""
 
     def __len__(self) -> int:
         return len(self.names)
@@ -82,6 +85,7 @@ class ImageSet:
             fingerprints=tuple(f for f, k in zip(self.fingerprints, keep) if k),
             mask_fingerprints=tuple(f for f, k in zip(self.mask_fingerprints, keep) if k),
             known_poses=None if self.known_poses is None else self.known_poses.of(keep),
+            taken_s=None if self.taken_s is None else self.taken_s[keep],
             left_out={**self.left_out, **{self.names[i]: why for i, why in failures.items()}},
         )
 
@@ -144,7 +148,14 @@ def read_image_set(
         left_out,
         bool(timestamps_s),
         tuple(filter(None, [*notes, *grouped.notes, mask_note])),
+        taken_s=np.array([_taken_s(h) for h in headers.values()]),
     )
+
+
+def _taken_s(header: PhotographHeader) -> float:
+    """Seconds on a clock without time zones: EXIF's times usually have none."""
+    time = header.capture_time
+    return float("nan") if time is None else time.replace(tzinfo=UTC).timestamp()
 
 
 def _cameras_of(headers: dict[str, PhotographHeader], config: ReconstructConfig) -> GroupedCameras:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -23,6 +23,8 @@ SAME_PIXEL = 0.01
 """Difference between pixels that are the same, but stored with different precision."""
 MOSTLY, LEAST_EXTENT_M = 0.9, 20.0
 """Fraction of images with GPS, and extent of their positions, above which near images are chosen by GPS."""
+NEXT_IN_TIME, LONGEST_PAUSE_S = 2, 60.0
+"""Next photographs in time that are matched with each, and the longest time between them."""
 ROWS_AT_ONCE = 1024
 """Images that are compared with all others at once, which limits the memory."""
 
@@ -52,6 +54,7 @@ def choose_pairs(
     *,
     is_video: bool,
     names: Sequence[str] = (),
+    taken_s: Float64[np.ndarray, " n"] | None = None,
 ) -> ChosenPairs:
     """Pairs by the method of the options, or by the one that fits the images.
 
@@ -61,6 +64,7 @@ def choose_pairs(
         config: options.
         is_video: whether they are frames of a video, in order.
         names: of the images, whose order is that of the sequence; numbers in them count as such. Empty: the images are in order.
+        taken_s: when they were taken; NaN where unknown. None: all.
 
     Raises:
         ConfigError: spatial pairs are requested, but fewer than two images have GPS.
@@ -71,7 +75,7 @@ def choose_pairs(
         return ChosenPairs(np.stack(np.triu_indices(n, 1), axis=1).astype(np.int32))
     if method == "sequential":
         reach = min(config.overlap, n - 1)
-        order = sorted(range(n), key=lambda i: _natural(names[i])) if names else list(range(n))
+        order = _in_sequence(range(n), names)
         pairs = [
             (order[i], order[i + step]) for i in range(n) for step in range(1, reach + 1) if i + step < n
         ]
@@ -79,12 +83,32 @@ def choose_pairs(
             sorted_pairs([*pairs, *_pairs_of(_similar_images(descriptors, min(config.neighbors, 10)))])
         )
     if method == "retrieval":
-        return _in_two_rounds(_similar_images(descriptors, config.neighbors), config.first_neighbors)
+        return _with_first(
+            _in_two_rounds(_similar_images(descriptors, config.neighbors), config.first_neighbors),
+            _next_in_time(taken_s, names),
+        )
     if has_gps.sum() < 2:
         raise ConfigError("spatial pairs need GPS in the images' EXIF")
     near = _in_two_rounds(_spatial(lat_lon_alt, has_gps, config.neighbors), config.first_neighbors)
     similar = _pairs_of(_similar_images(descriptors, 5))
-    return replace(near, first=sorted_pairs([*map(tuple, near.first.tolist()), *similar]))
+    return _with_first(near, [*similar, *_next_in_time(taken_s, names)])
+
+
+def _in_sequence(rows: Iterable[int], names: Sequence[str]) -> list[int]:
+    return sorted(rows, key=lambda i: _natural(names[i])) if names else list(rows)
+
+
+def _next_in_time(taken_s: np.ndarray | None, names: Sequence[str]) -> list[tuple[int, int]]:
+    """Pairs of photographs that were taken one after the other, without a long pause: they probably show the same."""
+    if taken_s is None:
+        return []
+    order = _in_sequence(np.flatnonzero(np.isfinite(taken_s)).tolist(), names)
+    order.sort(
+        key=lambda i: float(taken_s[i])
+    )  # several photographs of a second stay in the order of their names
+    steps = range(1, NEXT_IN_TIME + 1)
+    pairs = [(i, j) for step in steps for i, j in zip(order, order[step:])]
+    return [(i, j) for i, j in pairs if taken_s[j] - taken_s[i] <= LONGEST_PAUSE_S]
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
@@ -98,10 +122,15 @@ def _pairs_of(neighbors: Mapping[int, Sequence[int]]) -> list[tuple[int, int]]:
 
 def _in_two_rounds(neighbors: Mapping[int, Sequence[int]], num_first: int) -> ChosenPairs:
     """Pairs of each image with its nearest neighbors, and with those after them."""
-    first = sorted_pairs([(i, j) for i, nearest in neighbors.items() for j in nearest[:num_first]])
+    first = [(i, j) for i, nearest in neighbors.items() for j in nearest[:num_first]]
+    return _with_first(ChosenPairs(sorted_pairs([]), sorted_pairs(_pairs_of(neighbors))), first)
+
+
+def _with_first(chosen: ChosenPairs, pairs: Sequence[tuple[int, int]]) -> ChosenPairs:
+    """The same with further pairs in the first round, which are not matched again later."""
+    first = sorted_pairs([*map(tuple, chosen.first.tolist()), *pairs])
     taken = {*map(tuple, first.tolist())}
-    every = sorted_pairs(_pairs_of(neighbors)).tolist()
-    return ChosenPairs(first, sorted_pairs([(i, j) for i, j in every if (i, j) not in taken]))
+    return ChosenPairs(first, sorted_pairs([(i, j) for i, j in chosen.later.tolist() if (i, j) not in taken]))
 
 
 def further_pairs(
