@@ -99,16 +99,9 @@ def undistort(
         run.warnings += [] if model is not None else losses_in(given)
         for warning in run.warnings:
             run.report("undistort", 0, len(names), warning)
-        targets = [run.root / "images" / name for name in names]
         of_image = [pinholes[int(found.camera_of_image[row])] for row in registered]
-        payloads = [ImagePayload(*one, limits) for one in zip(images, of_image, targets)]
-        units = [_unit(run.root / UNITS, payload) for payload in payloads]
-        with run.folder.replacing("images", [f"images/{name}" for name in names]):
-            run.do(units, "undistort")
-            for unit, path in zip(units, targets):
-                _move(unit, path)
-        with suppress(OSError):  # it may hold files of the user
-            (run.root / UNITS).rmdir()
+        targets = [run.root / "images" / name for name in names]
+        _write_images(run, [ImagePayload(*one, limits) for one in zip(images, of_image, targets)])
         _write_stmaps(run, cameras if stmaps else {}, pinholes)
         with run.folder.publish("model") as aside:
             write_colmap_model(without_distortion(found, pinholes), aside / "sparse" / "0")
@@ -125,6 +118,18 @@ class ImagePayload:
     target: Path
     """The undistorted image, whose suffix gives the format."""
     limits: GrayRange | None
+
+
+def _write_images(run: Run, payloads: Sequence[ImagePayload]) -> None:
+    """Undistort images, or continue with those that an interrupted run has left."""
+    units = [_unit(run.root / UNITS, payload) for payload in payloads]
+    names = [payload.target.relative_to(run.root).as_posix() for payload in payloads]
+    with run.folder.replacing("images", names):
+        run.do(units, "undistort")
+        for unit, payload in zip(units, payloads):
+            _move(unit, payload.target)
+    with suppress(OSError):  # it may hold files of the user
+        (run.root / UNITS).rmdir()
 
 
 def _unit(folder: Path, payload: ImagePayload) -> Unit:
