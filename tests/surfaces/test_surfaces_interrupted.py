@@ -109,3 +109,25 @@ def test_a_full_disk_is_named_and_the_next_run_continues(
     assert results(out) == list(complete)
     surface(scene.folder, out, **OPTIONS)
     check_same(out, whole)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="file size limits are POSIX")
+@pytest.mark.parametrize(("name", "until"), [("cloud.ply", "cloud"), ("mesh.ply", "mesh")])
+def test_a_file_that_cannot_grow_is_said_and_none_is_left_half(scene, whole, tmp_path, name, until):
+    """As on a full disk, a write in the middle of a file fails: while the depths are fused, and in the mesh."""
+    import resource
+
+    out, options = tmp_path / "out", {**OPTIONS, "until": until}
+    if until == "mesh":
+        surface(scene.folder, out, **{**OPTIONS, "until": "cloud"})
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, ((whole.out / name).stat().st_size // 2, limits[1]))
+    try:
+        with pytest.raises(WorkspaceError, match="is the disk full"):
+            surface(scene.folder, out, **options)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not (out / name).exists()
+    assert not [path for path in out.rglob("*") if ".part" in path.name or path.suffix == ".tmp"]
+    surface(scene.folder, out, **options)
+    assert (out / name).read_bytes() == (whole.out / name).read_bytes()

@@ -100,8 +100,7 @@ def undistort(
         for warning in run.warnings:
             run.report("undistort", 0, len(names), warning)
         of_image = [pinholes[int(found.camera_of_image[row])] for row in registered]
-        targets = [run.root / "images" / name for name in names]
-        _write_images(run, [ImagePayload(*one, limits) for one in zip(images, of_image, targets)])
+        _write_images(run, [ImagePayload(*one, limits) for one in zip(images, of_image, names)])
         _write_stmaps(run, cameras if stmaps else {}, pinholes)
         with run.folder.publish("model") as aside:
             write_colmap_model(without_distortion(found, pinholes), aside / "sparse" / "0")
@@ -115,19 +114,18 @@ class ImagePayload:
 
     image: ModelImage
     pinhole: Camera
-    target: Path
-    """The undistorted image, whose suffix gives the format."""
+    name: str
+    """The undistorted image, whose suffix gives the format. Not a path: no worker needs the file of an earlier run."""
     limits: GrayRange | None
 
 
 def _write_images(run: Run, payloads: Sequence[ImagePayload]) -> None:
     """Undistort images, or continue with those that an interrupted run has left."""
     units = [_unit(run.root / UNITS, payload) for payload in payloads]
-    names = [payload.target.relative_to(run.root).as_posix() for payload in payloads]
-    with run.folder.replacing("images", names):
+    with run.folder.replacing("images", [f"images/{payload.name}" for payload in payloads]):
         run.do(units, "undistort")
         for unit, payload in zip(units, payloads):
-            _move(unit, payload.target)
+            _move(unit, run.root / "images" / payload.name)
     with suppress(OSError):  # it may hold files of the user
         (run.root / UNITS).rmdir()
 
@@ -139,7 +137,7 @@ def _unit(folder: Path, payload: ImagePayload) -> Unit:
         [one.model.name, one.width, one.height, one.params.tolist()]
         for one in (image.camera, payload.pinhole)
     ]
-    file = [str(image.path), state.st_size, state.st_mtime_ns, image.orientation, payload.target.suffix]
+    file = [str(image.path), state.st_size, state.st_mtime_ns, image.orientation, Path(payload.name).suffix]
     key = digest("undistort", file, cameras, payload.limits)
     return Unit(folder / f"{key}.npz", key, undistorted_file, payload)
 
@@ -148,7 +146,7 @@ def undistorted_file(payload: ImagePayload) -> dict[str, np.ndarray]:
     """Content of the undistorted image's file."""
     rgb = payload.image.read(limits=payload.limits)
     undistorted = undistort_image(rgb, payload.image.camera, payload.pinhole)
-    return {"content": np.frombuffer(encoded_photograph(payload.target, undistorted), np.uint8)}
+    return {"content": np.frombuffer(encoded_photograph(Path(payload.name), undistorted), np.uint8)}
 
 
 def _move(unit: Unit, path: Path) -> None:
