@@ -28,11 +28,11 @@ def undistort(
         cluster: Process images on a Dask cluster: tcp://HOST:PORT, tls://HOST:PORT, local:N or slurm:N.
         shared_folder: All machines of the cluster see images and output folder under the same paths; otherwise files are sent.
     """
-    from epipole.runs import Cluster
     from epipole.screen import progress_on_screen
 
     with progress_on_screen({"undistort": "Undistorting"}) as progress:
         from epipole.pipelines.undistortion.run import undistort as run
+        from epipole.runs import Cluster
 
         executor = None if cluster is None else Cluster(cluster, shared_folder)
         folder = run(out, progress, target=target, model=model, stmaps=stmaps, executor=executor)

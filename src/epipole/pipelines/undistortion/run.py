@@ -44,6 +44,8 @@ STMAPS = "stmaps"
 """Folder of the maps, and their group in the folder's marker."""
 UNITS = "units"
 """Folder of the results of a run that has not ended."""
+FORMAT = 1
+"""Increase when the images of the same files change."""
 FILE: Table = {"content": Expected("uint8", "n")}
 _MAKERS = {"undistort": undistortion_stmap, "distort": distortion_stmap}
 
@@ -138,7 +140,7 @@ def _unit(folder: Path, payload: ImagePayload) -> Unit:
         for one in (image.camera, payload.pinhole)
     ]
     file = [str(image.path), state.st_size, state.st_mtime_ns, image.orientation, Path(payload.name).suffix]
-    key = digest("undistort", file, cameras, payload.limits)
+    key = digest("undistort", FORMAT, file, cameras, payload.limits)
     return Unit(folder / f"{key}.npz", key, undistorted_file, payload)
 
 

@@ -102,10 +102,9 @@ def _next_in_time(taken_s: np.ndarray | None, names: Sequence[str]) -> list[tupl
     """Pairs of photographs that were taken one after the other, without a long pause: they probably show the same."""
     if taken_s is None:
         return []
-    order = _in_sequence(np.flatnonzero(np.isfinite(taken_s)).tolist(), names)
-    order.sort(
-        key=lambda i: float(taken_s[i])
-    )  # several photographs of a second stay in the order of their names
+    # Several photographs of one second are in the order of their names.
+    named = _in_sequence(np.flatnonzero(np.isfinite(taken_s)).tolist(), names)
+    order = sorted(named, key=lambda i: float(taken_s[i]))
     steps = range(1, NEXT_IN_TIME + 1)
     pairs = [(i, j) for step in steps for i, j in zip(order, order[step:])]
     return [(i, j) for i, j in pairs if taken_s[j] - taken_s[i] <= LONGEST_PAUSE_S]
