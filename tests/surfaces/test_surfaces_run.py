@@ -57,6 +57,12 @@ def done(scene, tmp_path_factory):
     return surface(scene.folder, out, texture_px=1024, formats=("glb", "obj"))
 
 
+@pytest.fixture(scope="module")
+def small(scene, tmp_path_factory):
+    """The same of a quarter of the pixels."""
+    return surface(scene.folder, tmp_path_factory.mktemp("small") / "out", max_size_px=192, texture_px=1024)
+
+
 def copied(scene, path):
     shutil.copytree(scene.folder, path)
     return path
@@ -239,7 +245,7 @@ def test_images_of_which_little_can_be_undistorted_are_said(tmp_path):
     assert told.startswith("1 of 2 images have a very wide field of view") and "71 degrees" in told
 
 
-def test_large_coordinates_give_the_same_mesh(scene, done, tmp_path):
+def test_large_coordinates_give_the_same_mesh(scene, small, tmp_path):
     source = copied(scene, tmp_path / "source")
     model = read_colmap_model(source / "sparse" / "0")
     offset = np.array([500_000.0, 5_300_000.0, 400.0])
@@ -250,17 +256,17 @@ def test_large_coordinates_give_the_same_mesh(scene, done, tmp_path):
         replace(model, points=points, frames=replace(model.frames, rig_from_world=moved)),
         source / "sparse" / "0",
     )
-    found = surface(source, tmp_path / "out", texture_px=1024)
-    assert len(found.mesh) == pytest.approx(len(done.mesh), rel=0.06)  # voxels lie elsewhere
-    assert found.summary["num_points"] == pytest.approx(done.summary["num_points"], rel=1e-3)
-    tree = cKDTree(done.mesh.vertices_in_world)
+    found = surface(source, tmp_path / "out", max_size_px=192, texture_px=1024)
+    assert len(found.mesh) == pytest.approx(len(small.mesh), rel=0.06)  # voxels lie elsewhere
+    assert found.summary["num_points"] == pytest.approx(small.summary["num_points"], rel=1e-3)
+    tree = cKDTree(small.mesh.vertices_in_world)
     for vertices in (found.mesh.vertices_in_world, read_glb(found.out / "textured.glb").vertices_in_world):
         distance = tree.query(vertices - offset)[0]
-        assert np.median(distance) < 0.6 * done.summary["voxel"]
+        assert np.median(distance) < 0.6 * small.summary["voxel"]
 
 
-def test_a_texture_that_is_too_small_is_a_warning_and_no_old_one_stays(scene, tmp_path):
-    out = surface(scene.folder, tmp_path / "out", max_size_px=192, texture_px=1024).out
+def test_a_texture_that_is_too_small_is_a_warning_and_no_old_one_stays(scene, small, tmp_path):
+    out = shutil.copytree(small.out, tmp_path / "out")
     assert (out / "textured.glb").is_file()
     found = surface(scene.folder, out, max_size_px=192, texture_px=256, min_component=0.0)
     if any("no texture" in warning for warning in found.warnings):
@@ -270,9 +276,10 @@ def test_a_texture_that_is_too_small_is_a_warning_and_no_old_one_stays(scene, tm
     assert not (out / "textured.glb").exists() and (out / "mesh.ply").is_file()
 
 
-def test_a_killed_run_continues(scene, done, tmp_path):
+def test_a_killed_run_continues(scene, small, tmp_path):
     out = tmp_path / "out"
     command = [sys.executable, "-m", "epipole", "surface", str(scene.folder), str(out), "--until", "cloud"]
+    command += ["--max-size-px", "192"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     limit = time.monotonic() + 120
     while len(list((out / "units" / "depth").glob("[0-9a-f]*.npz"))) < 2 and time.monotonic() < limit:
@@ -282,9 +289,9 @@ def test_a_killed_run_continues(scene, done, tmp_path):
     process.wait()
     stored = {path: path.stat().st_mtime_ns for path in (out / "units" / "depth").glob("[0-9a-f]*.npz")}
     assert len(stored) >= 2 and not (out / "cloud.ply").exists()
-    surface(scene.folder, out, until="cloud")
+    surface(scene.folder, out, until="cloud", max_size_px=192)
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in stored.items())
-    assert (out / "cloud.ply").read_bytes() == (done.out / "cloud.ply").read_bytes()
+    assert (out / "cloud.ply").read_bytes() == (small.out / "cloud.ply").read_bytes()
 
 
 def test_masked_pixels_have_no_depth(scene, tmp_path):
@@ -391,17 +398,17 @@ def test_sources_without_points_images_or_cameras_are_refused(scene, tmp_path):
         SurfaceConfig(texture_px=1)
 
 
-def test_points_without_observations_are_projected_into_the_images(scene, done, tmp_path):
+def test_points_without_observations_are_projected_into_the_images(scene, small, tmp_path):
     source = tmp_path / "source"
     shutil.copytree(scene.folder / "images", source / "images")
     write_transforms(read_colmap_model(scene.folder / "sparse" / "0"), source / "transforms.json")
-    found = surface(source / "transforms.json", tmp_path / "out", until="cloud")
+    found = surface(source / "transforms.json", tmp_path / "out", until="cloud", max_size_px=192)
     assert found.summary["num_images"] == VIEWS and any("see all points" in w for w in found.warnings)
-    assert found.summary["density"] > 0.95 * done.summary["density"]
-    distance = cKDTree(read_points_ply(done.out / "cloud.ply").xyz).query(
+    assert found.summary["density"] > 0.95 * small.summary["density"]
+    distance = cKDTree(read_points_ply(small.out / "cloud.ply").xyz).query(
         read_points_ply(found.out / "cloud.ply").xyz[::20]
     )[0]
-    assert np.quantile(distance, 0.9) < 2 * done.summary["voxel"]
+    assert np.quantile(distance, 0.9) < 2 * small.summary["voxel"]
     (source / "sparse_pc.ply").unlink()
     with pytest.raises(NoModelError, match=r"has no points .*ply_file_path"):
         surface(source / "transforms.json", tmp_path / "none")
