@@ -141,7 +141,7 @@ def test_silent_work_prints_a_line_again_and_again(capsys, monkeypatch):
         wait_for("Doing [x]: 3 of 7, 42 %, 0 s so far")
         wait_for("Doing [x]: 3 of 7, 42 %, 0 s so far")
         show(Progress("a", 7, 7))
-        wait_for("Working on what comes after `Doing [x]`")
+        wait_for("Working (last stage: Doing [x]), ")
     capsys.readouterr()
     with screen.loudness("quiet"), screen.progress_on_screen():
         time.sleep(0.2)

@@ -275,7 +275,7 @@ class _Lines:
         with self._lock:
             stage, now = self._latest, perf_counter()
             if stage is None or stage.is_over:
-                after = "" if stage is None else f" on what comes after `{self._label(stage)}`"
+                after = "" if stage is None else f" (last stage: {self._label(stage)})"
                 since_s = now - (self._start_s if stage is None else stage.printed_s)
                 self._print(f"Working{after}, {since_s:.0f} s so far")
                 return

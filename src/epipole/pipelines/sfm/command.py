@@ -25,6 +25,7 @@ STAGES = {
     "parts": "Mapping parts",
     "map": "Registering images",
     "adjust": "Adjusting the model",
+    "complete": "Completing tracks",
     "rigs": "Adjusting rigs",
     "anchor": "Determining the scale",
     "write": "Writing images",

@@ -104,16 +104,17 @@ def map_images(
         if method is None and remaining.sum() > config.divide_above:
             method = "divided" if map_divided(mapper, remaining, map_parts, counting) else None
         if method is None:
-            method = map_with(mapper, remaining, counting, _adjusting(progress))
+            method = map_with(mapper, remaining, counting, _in_stage("adjust", progress))
         if method is None or builder.registered.sum() < 2:  # adjustment may leave nothing of a weak start
             break
         if features is not None:
             rounds = GROWN_ROUNDS if method == "grown" else ROUNDS
             is_adjusted = method == "grown" and _is_mostly(earlier, builder)
-            complete_model(mapper, features, starts, rounds, GROWN_ROUNDS if is_adjusted else FINAL_ROUNDS)
+            final_rounds = GROWN_ROUNDS if is_adjusted else FINAL_ROUNDS
+            complete_model(mapper, features, starts, rounds, final_rounds, _in_stage("complete", progress))
         before = earlier[0] if method == "grown" else None
-        located = _locate_by_poses(mapper, images, config, _adjusting(progress)) or _locate(
-            mapper, images, config, before, _adjusting(progress)
+        located = _locate_by_poses(mapper, images, config, _in_stage("adjust", progress)) or _locate(
+            mapper, images, config, before, _in_stage("adjust", progress)
         )
         notes += mapper.notes
         rejections.update({i: r for i, r in mapper.rejections.items() if not found})
@@ -211,8 +212,8 @@ def _counting(progress: ProgressCallback, remaining: np.ndarray) -> Callable[[in
     return report
 
 
-def _adjusting(progress: ProgressCallback) -> Callable[[int, int], None]:
-    return lambda done, total: progress(Progress("adjust", done, total))
+def _in_stage(stage: str, progress: ProgressCallback) -> Callable[[int, int], None]:
+    return lambda done, total: progress(Progress(stage, done, total))
 
 
 def _publish(

@@ -136,16 +136,21 @@ class IncrementalMapper:
         self.model.restore(best[1])
         return True
 
-    def finish(self, rounds: int = 2) -> None:
+    def finish(self, rounds: int = 2, done: Callable[[int], None] = lambda _: None) -> None:
         """Adjust with a loss that suppresses wrong matches, and again without the observations that it rejects.
 
         Only at the end, because a redescending loss cannot close the gap of a drifted loop.
+
+        Args:
+            rounds: number of rounds.
+            done: called after each round with the number of rounds so far.
         """
-        for _ in range(rounds):
+        for round_ in range(rounds):
             self._drop_short_tracks()
             bundle = final_bundle(self.config, median_error_px(self.model))
             (adjust_all if self.is_last else adjust_sample)(self.model, bundle, self.freedom(), self.priors)
             self.model.filter(self.config.max_error_px, self._angle)
+            done(round_ + 1)
         self._drop_short_tracks()
         self.keep_rigid_part()
 
