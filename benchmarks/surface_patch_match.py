@@ -1,4 +1,4 @@
-"""PatchMatch with slanted windows on the scenes of `benchmarks.surfaces`: what depth by semi-global matching was chosen over.
+"""PatchMatch with slanted windows, measured against semi-global matching on the scenes of `benchmarks.surfaces`.
 
 Red-black propagation and random refinement of planes (Galliani, Lasinger and Schindler, ICCV 2015), from coarse to fine, with a
 bilaterally weighted correlation (Schoenberger et al., ECCV 2016) of the two best sources.
@@ -24,15 +24,32 @@ from epipole.dense.depth import view_depth
 from epipole.dense.view import DenseView, intrinsics_of
 from epipole.scene.view_depth import DepthReason
 
-REACH, STEP, TAPS = 5, 2, 36
-"""The window: pixels -5, -3, ... 5 of each direction, and their number."""
-COLOR_SIGMA, SPACE_SIGMA, LEAST_VARIANCE, HIDDEN = 12.0, 5.0, 4.0, 2.0
+REACH = 5
+"""Largest distance of a sample of the window from its center, in rows and columns (pixels)."""
+STEP = 2
+"""Distance between samples of the window, in pixels."""
+TAPS = 36
+"""Samples of the window."""
+COLOR_SIGMA = 12.0
+"""Standard deviation of the window's weights, in gray levels; as in `dense/_edge_kernels.py`."""
+SPACE_SIGMA = 5.0
+"""Standard deviation of the window's weights, in pixels."""
+LEAST_VARIANCE = 4.0
+"""Smallest variance of a window, in squared gray levels."""
+HIDDEN = 2.0
+"""Cost of a source that does not show the window."""
 NEIGHBORS = np.array([(-1, 0), (1, 0), (0, -1), (0, 1), (-5, 0), (5, 0), (0, -5), (0, 5)], np.int64)
 """Rows and columns; odd distances, so that all are of the other color."""
-SCALES, ROUNDS = (4, 2, 1), (4, 3, 2)
-"""Sides of a pixel at each level, and iterations there."""
+SCALES = (4, 2, 1)
+"""Side of a pixel at each level."""
+ROUNDS = (4, 3, 2)
+"""Iterations at each level."""
 REFINED = 3
+"""Random changes of a plane in each iteration."""
 THRESHOLDS = np.linspace(0.05, 1.5, 30)
+"""Largest costs that are tried."""
+MOST_WRONG = 0.02
+"""Largest fraction of wrong pixels, as asked of `view_depth`."""
 VIEWS = 2
 """Views of each scene that are judged."""
 
@@ -125,6 +142,20 @@ def random_plane(q, k, u, v, seed, size, normal):
 
 
 @kernel
+def changed_plane(q, qu, qv, k, u, v, reach, round_, change):
+    """A random change of a plane: of its inverse depth (change 0), of its normal (1) or of both (2), smaller in later rounds."""
+    size, seed = 0.5 ** (round_ + change), 100 * round_ + change + 8
+    tq = q
+    if change != 1:
+        tq = q + 0.1 * size * reach * (2.0 * hash_of(u, v, seed, 0) - 1.0)
+    if change == 0 or not tq > 0.0:
+        return tq, qu * tq / q, qv * tq / q
+    nx, ny, nz = qu * k[0], qv * k[1], q - qu * (u - k[2]) - qv * (v - k[3])
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    return random_plane(tq, k, u, v, seed, size, (nx / length, ny / length, nz / length))
+
+
+@kernel
 def start_rows(gray, images, As, bs, k, depths, memory, start, stop, planes, costs):
     """Random planes and their costs."""
     weights, values = memory
@@ -163,19 +194,8 @@ def update_rows(gray, images, As, bs, k, depths, memory, round_, color, start, s
                     tu, tv = planes[y, x, 1], planes[y, x, 2]
                     tq = planes[y, x, 0] - tu * j - tv * i
                 else:
-                    m = n - len(NEIGHBORS)
-                    size = 0.5 ** (round_ + m)
-                    seed = 100 * round_ + n
-                    tq = q
-                    if m != 1:
-                        tq = q + 0.1 * size * (near - far) * (2.0 * hash_of(u, v, seed, 0) - 1.0)
-                    ratio = tq / q
-                    tu, tv = qu * ratio, qv * ratio
-                    if m != 0 and tq > 0.0:
-                        normal = qu * k[0], qv * k[1], q - qu * (u - k[2]) - qv * (v - k[3])
-                        length = np.sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
-                        normal = normal[0] / length, normal[1] / length, normal[2] / length
-                        tq, tu, tv = random_plane(tq, k, u, v, seed, size, normal)
+                    change = n - len(NEIGHBORS)
+                    tq, tu, tv = changed_plane(q, qu, qv, k, u, v, near - far, round_, change)
                 if not (tq >= far and tq <= near):
                     continue
                 cost = cost_of(images, As, bs, u, v, (tq, tu, tv), weights, values, variance)
@@ -193,9 +213,11 @@ def patch_match(
         if side >= finest:
             planes, costs = _level(view, sources, depths, side, rounds, planes)
     size = view.camera.width, view.camera.height
-    return tuple(
-        cv2.resize(one, size, interpolation=cv2.INTER_NEAREST) for one in (1.0 / planes[..., 0], costs)
+    depth, cost = (
+        np.asarray(cv2.resize(one, size, interpolation=cv2.INTER_NEAREST))
+        for one in (1.0 / planes[..., 0], costs)
     )
+    return depth, cost
 
 
 def _level(
@@ -310,6 +332,6 @@ def _figures(
     for most in THRESHOLDS:
         kept = cost <= most
         figures.append(((right & kept).sum() / seen.sum(), (wrong & kept).sum() / max(kept.sum(), 1), most))
-    allowed = [row for row in figures if row[1] <= 0.02]
+    allowed = [row for row in figures if row[1] <= MOST_WRONG]
     best = max(allowed) if allowed else min(figures, key=lambda row: row[1])
     return {"right": float(best[0]), "wrong": float(best[1]), "largest cost": float(best[2])}

@@ -111,6 +111,9 @@ def test_photographs_taken_one_after_the_other_are_compared_first(method: str) -
     first = {*map(tuple, without.first.tolist())}
     assert not following <= first and {*map(tuple, found.first.tolist())} == first | following
     assert not following & {*map(tuple, found.later.tolist())}
+    apart = [name if k in (1, 3) else f"other/{name}" for k, name in enumerate(names)]
+    two_cameras = choose_pairs(images, road, options, is_video=False, names=apart, taken_s=taken_s)
+    assert {*map(tuple, two_cameras.first.tolist())} == first | {(1, 3), (0, 4)}
     never = choose_pairs(images, road, options, is_video=False, names=names, taken_s=np.full(12, np.nan))
     assert never.first.tolist() == without.first.tolist()
 

@@ -23,8 +23,10 @@ SAME_PIXEL = 0.01
 """Difference between pixels that are the same, but stored with different precision."""
 MOSTLY, LEAST_EXTENT_M = 0.9, 20.0
 """Fraction of images with GPS, and extent of their positions, above which near images are chosen by GPS."""
-NEXT_IN_TIME, LONGEST_PAUSE_S = 2, 60.0
-"""Next photographs in time that are matched with each, and the longest time between them."""
+NEXT_IN_TIME = 2
+"""Number of following photographs, in the order of time, that each photograph is matched with."""
+LONGEST_PAUSE_S = 60.0
+"""Longest time between two of them: after a pause the photographer has usually moved on. Not tuned on any set."""
 ROWS_AT_ONCE = 1024
 """Images that are compared with all others at once, which limits the memory."""
 
@@ -99,14 +101,23 @@ def _in_sequence(rows: Iterable[int], names: Sequence[str]) -> list[int]:
 
 
 def _next_in_time(taken_s: np.ndarray | None, names: Sequence[str]) -> list[tuple[int, int]]:
-    """Pairs of photographs that were taken one after the other, without a long pause: they probably show the same."""
+    """Pairs of photographs of one folder that were taken one after the other, which probably show the same scene.
+
+    Folders are separate, because cameras of a rig, or of several people, usually have one each.
+    """
     if taken_s is None:
         return []
-    # Several photographs of one second are in the order of their names.
+    # Photographs taken in the same second are in the order of their names.
     named = _in_sequence(np.flatnonzero(np.isfinite(taken_s)).tolist(), names)
-    order = sorted(named, key=lambda i: float(taken_s[i]))
-    steps = range(1, NEXT_IN_TIME + 1)
-    pairs = [(i, j) for step in steps for i, j in zip(order, order[step:])]
+    folders: dict[str, list[int]] = {}
+    for i in sorted(named, key=lambda i: float(taken_s[i])):
+        folders.setdefault(names[i].rpartition("/")[0] if names else "", []).append(i)
+    pairs = [
+        (i, j)
+        for order in folders.values()
+        for step in range(1, NEXT_IN_TIME + 1)
+        for i, j in zip(order, order[step:])
+    ]
     return [(i, j) for i, j in pairs if taken_s[j] - taken_s[i] <= LONGEST_PAUSE_S]
 
 
