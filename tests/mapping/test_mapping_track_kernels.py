@@ -6,6 +6,7 @@ import pytest
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
 from epipole.mapping import MatchComponents, ModelBuilder, model_builder
+from epipole.mapping import _component_kernels as component_kernels
 from epipole.mapping import _track_kernels as kernels
 from epipole.scene import Cameras
 from epipole.synthetic import look_at
@@ -29,7 +30,7 @@ def merged(row1: np.ndarray, row2: np.ndarray, image: np.ndarray) -> list[int]:
 
 
 @pytest.mark.parametrize(("num_rows", "num_matches"), [(40, 60), (40, 10), (1, 0), (0, 0), (2, 3)])
-@reference_of(kernels.connect_without_conflict, kernels.find_roots)
+@reference_of(component_kernels.connect_without_conflict, component_kernels.find_roots)
 def test_components_are_merged(rng: np.random.Generator, num_rows: int, num_matches: int) -> None:
     num_images = 5
     image = np.sort(rng.integers(0, num_images, num_rows))
@@ -39,13 +40,17 @@ def test_components_are_merged(rng: np.random.Generator, num_rows: int, num_matc
     keypoints = [(row - starts[pair]).astype(np.int32) for row, pair in zip((row1, row2), pairs)]
     order, offsets = rng.permutation(num_matches), np.arange(num_matches + 1)
     parent = np.arange(num_rows, dtype=np.int64)
-    found = kernels.Components(image, parent, parent.copy(), np.zeros(num_images + 1, np.int64))
+    stamp = np.zeros(num_images + 1, np.int64)
+    found = component_kernels.Components(parent, parent.copy(), np.ones(num_rows, np.int64), stamp)
     half = num_matches // 2
-    number = 0
+    number, members, used = 0, image.astype(np.int32), num_rows
     for part in (order[:half], order[half:]):  # the second call continues the first one
-        given = part, offsets, *pairs, *keypoints, starts, number, found
-        number, (*_, found) = assert_same_as_python(kernels.connect_without_conflict, *given)
-    _, (roots,) = assert_same_as_python(kernels.find_roots, found.parent)
+        given = part, offsets, *pairs, *keypoints, starts, number, found, members, used
+        (number, members, used), changed = assert_same_as_python(
+            component_kernels.connect_without_conflict, *given
+        )
+        found = changed[8]
+    _, (roots,) = assert_same_as_python(component_kernels.find_roots, found.parent)
     assert number == num_matches
     np.testing.assert_array_equal(roots, merged(row1[order], row2[order], image))
 

@@ -1,11 +1,10 @@
-"""Tracks: merge matches, triangulate, extend and filter, one component of matches at a time.
+"""Tracks: choose, triangulate, extend and filter, one component of matches at a time.
 
 A component is a set of keypoints connected by verified matches, at most one per image; its rows are consecutive. It
 may yield several points, as a false match can join two.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,76 +20,6 @@ from epipole.robust._triangulation_kernels import (
 )
 
 NEAREST_SQ = 1e-12  # squared fraction of the farthest view's distance
-
-
-@kernel
-def _root(parent, i):
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-class Components(NamedTuple):
-    """Union-find over keypoint rows."""
-
-    image: np.ndarray  # (r,) int64, of each keypoint
-    parent: np.ndarray  # (r,) int64, toward the smallest row of each component
-    following: np.ndarray  # (r,) int64, the members of each component in a ring
-    stamp: np.ndarray  # (n,) int64, the last match that has marked each image
-
-
-@kernel
-def connect_without_conflict(
-    order, match_offsets, image1, image2, keypoint1, keypoint2, starts, num_before, found
-):
-    """Union-find over the matches of pairs of images, in the given order of the pairs.
-
-    A match that would put two keypoints of one image into a component is rejected: one of the matches in it is wrong,
-    and the earlier ones are stronger. `starts` is the first keypoint row of each image; `num_before` counts the matches of earlier
-    calls, and the number including these is returned.
-    """
-    number = num_before
-    for pair in order:
-        first, second = starts[image1[pair]], starts[image2[pair]]
-        for m in range(match_offsets[pair], match_offsets[pair + 1]):
-            number += 1
-            _connect(first + keypoint1[m], second + keypoint2[m], number, found)
-    return number
-
-
-@kernel
-def find_roots(parent):
-    """parent[i] becomes the smallest keypoint row of i's component."""
-    for i in range(len(parent)):
-        parent[i] = _root(parent, i)
-
-
-@kernel
-def _connect(row1, row2, number, found):
-    """Join the components of two rows, unless both have a keypoint of the same image."""
-    parent, following, stamp = found.parent, found.following, found.stamp
-    a, b = _root(parent, row1), _root(parent, row2)
-    if a == b:
-        return
-    member = a
-    while True:
-        stamp[found.image[member]] = number
-        member = following[member]
-        if member == a:
-            break
-    member = b
-    while True:
-        if stamp[found.image[member]] == number:
-            return
-        member = following[member]
-        if member == b:
-            break
-    following[a], following[b] = following[b], following[a]
-    if a < b:
-        parent[b] = a
-    else:
-        parent[a] = b
 
 
 @kernel

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Int32, Int64
 
 from epipole._checks import Declared, check_indices, check_offsets, checked
 from epipole.errors import ShapeError
+from epipole.mapping import _component_kernels as component_kernels
 from epipole.mapping import _track_kernels as kernels
 from epipole.scene import ViewGraph
 
@@ -53,26 +54,30 @@ def connect_matches(
     check_offsets(keypoint_offsets, "keypoint_offsets")
     check_matches(view_graph, np.diff(keypoint_offsets))
     parent = np.arange(keypoint_offsets[-1], dtype=np.int64)
-    image = np.repeat(np.arange(len(keypoint_offsets) - 1), np.diff(keypoint_offsets))
-    found = kernels.Components(image, parent, parent.copy(), np.zeros(len(keypoint_offsets), np.int64))
+    image = np.repeat(np.arange(len(keypoint_offsets) - 1, dtype=np.int32), np.diff(keypoint_offsets))
+    found = component_kernels.Components(
+        parent, parent.copy(), np.ones(len(parent), np.int64), np.zeros(len(keypoint_offsets), np.int64)
+    )
     strongest_first = np.argsort(-view_graph.num_inliers().astype(np.int64), kind="stable")
     graph = view_graph.image1, view_graph.image2, view_graph.keypoint1, view_graph.keypoint2
-    number = kernels.connect_without_conflict(
-        strongest_first, view_graph.match_offsets, *graph, keypoint_offsets, 0, found
+    state = component_kernels.connect_without_conflict(
+        strongest_first, view_graph.match_offsets, *graph, keypoint_offsets, 0, found, image, len(image)
     )
     if further is not None:
         each = np.arange(len(further) + 1)
         matches = further.image1, further.image2, further.keypoint1, further.keypoint2
-        kernels.connect_without_conflict(each[:-1], each, *matches, keypoint_offsets, number, found)
-    kernels.find_roots(parent)
+        number, *members = state
+        component_kernels.connect_without_conflict(
+            each[:-1], each, *matches, keypoint_offsets, number, found, *members
+        )
+    component_kernels.find_roots(parent)
     sizes = np.bincount(parent, minlength=len(parent))
     rows = np.flatnonzero(sizes[parent] >= 2)
     rows = rows[np.argsort(parent[rows], kind="stable")]
-    _, counts = np.unique(parent[rows], return_counts=True)
     image = image[rows]
     return MatchComponents(
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        image.astype(np.int32),
+        np.concatenate([[0], np.cumsum(sizes[sizes >= 2])]).astype(np.int64),
+        image,
         (rows - keypoint_offsets[image]).astype(np.int32),
     )
 

@@ -28,6 +28,9 @@ class PointViews(Declared):
     by_image: Int64[np.ndarray, " k"]
     """Observations sorted by image: those of image i are by_image[starts[i] : starts[i + 1]]."""
     starts: Int64[np.ndarray, " n1"]
+    by_point: Int64[np.ndarray, " k"]
+    """Observations sorted by point: those of point j are by_point[point_starts[j] : point_starts[j + 1]]."""
+    point_starts: Int64[np.ndarray, " p1"]
 
     @staticmethod
     @checked
@@ -38,7 +41,7 @@ class PointViews(Declared):
         image: Int32[np.ndarray, " k"],
         keypoint: Int32[np.ndarray, " k"],
     ) -> PointViews:
-        """Sort observations by image.
+        """Sort observations by image and by point.
 
         Args:
             points_in_world: the points.
@@ -56,15 +59,14 @@ class PointViews(Declared):
         check_indices(image, "image", len(centers_in_world))
         away = centers_in_world[image] - points_in_world[point]
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
-        counts = np.bincount(image, minlength=len(centers_in_world))
         return PointViews(
             np.ascontiguousarray(points_in_world),
             point,
             image,
             keypoint,
             away,
-            np.argsort(image, kind="stable").astype(np.int64),
-            np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+            *_sorted_groups(image, len(centers_in_world)),
+            *_sorted_groups(point, len(points_in_world)),
         )
 
     def __len__(self) -> int:
@@ -91,28 +93,37 @@ class PointViews(Declared):
             center_in_world: camera center from which the points are looked for.
             neighbors: images whose points are looked for, sorted.
             image: image whose own points are left out; None: none are.
-            scratch: arrays (p,) of int64, all -1, and float64, reused between calls; None: allocated.
+            scratch: masks (p,) and (n,), all False, reused between calls; None: allocated.
         """
-        starts = self.starts if image is not None else np.append(self.starts, self.starts[-1])
         observed = kernels.Observations(
-            self.point, self.image, self.keypoint, self.to_camera, self.by_image, starts
+            self.point,
+            self.image,
+            self.to_camera,
+            self.by_image,
+            self.starts,
+            self.by_point,
+            self.point_starts,
         )
-        best, cosine = self.scratch() if scratch is None else scratch
         found = np.empty(len(self.points_in_world), np.int64)
         count = kernels.closest_views(
             observed,
-            len(self.starts) - 1 if image is None else image,
+            -1 if image is None else image,
             neighbors,
             center_in_world,
             self.points_in_world,
             MIN_VIEW_COSINE,
-            best,
-            cosine,
+            *(self.scratch() if scratch is None else scratch),
             found,
         )
         return np.sort(found[:count])
 
     def scratch(self) -> tuple[np.ndarray, np.ndarray]:
-        """Arrays for repeated calls of `seen_from` by one thread."""
-        count = len(self.points_in_world)
-        return np.full(count, kernels.NOT_FOUND, np.int64), np.empty(count)
+        """Masks of points and images for repeated calls of `seen_from` by one thread."""
+        return np.zeros(len(self.points_in_world), bool), np.zeros(len(self.starts) - 1, bool)
+
+
+def _sorted_groups(group: np.ndarray, num_groups: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows in the order of their groups, and the first of each group."""
+    counts = np.bincount(group, minlength=num_groups)
+    rows = np.argsort(group, kind="stable").astype(np.int64)
+    return rows, np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)

@@ -87,14 +87,16 @@ def drop_short_tracks(model: ModelBuilder, min_length: int, min_long: int) -> in
 @checked
 def median_error_px(model: ModelBuilder) -> float:
     """Median distance between observations and projections of the registered images; NaN without observations."""
-    errors = [np.zeros(0)]
-    for image in np.flatnonzero(model.registered):
-        rows = model.rows_of_image[image]
+    images = np.flatnonzero(model.registered).tolist()
+
+    def errors_of(index: int) -> np.ndarray:
+        rows = model.rows_of_image[images[index]]
         rows = rows[model.row_point[rows] >= 0]
-        points = model.cam_from_world(int(image)).apply(model.points[model.row_point[rows]])
-        pixels = model.camera(int(model.camera_of_image[image])).project(points)
-        errors.append(np.linalg.norm(pixels - model.row_pixel[rows], axis=1))
-    every = np.concatenate(errors)
+        points = model.cam_from_world(images[index]).apply(model.points[model.row_point[rows]])
+        pixels = model.camera(int(model.camera_of_image[images[index]])).project(points)
+        return np.linalg.norm(pixels - model.row_pixel[rows], axis=1)
+
+    every = np.concatenate([np.zeros(0), *_parallel.map_items(errors_of, len(images))])
     return float(np.nanmedian(every)) if np.isfinite(every).any() else np.nan
 
 

@@ -148,7 +148,8 @@ class IncrementalMapper:
         for round_ in range(rounds):
             self._drop_short_tracks()
             bundle = final_bundle(self.config, median_error_px(self.model))
-            (adjust_all if self.is_last else adjust_sample)(self.model, bundle, self.freedom(), self.priors)
+            is_thorough = self.is_last and round_ == rounds - 1  # before it, a sample takes most of the steps
+            (adjust_all if is_thorough else adjust_sample)(self.model, bundle, self.freedom(), self.priors)
             self.model.filter(self.config.max_error_px, self._angle)
             done(round_ + 1)
         self._drop_short_tracks()
