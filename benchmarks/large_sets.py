@@ -181,7 +181,7 @@ def _rmse(distances: np.ndarray) -> float:
 def main() -> None:
     """Render, reconstruct, and print one table."""
     parser = argparse.ArgumentParser(description="Large sets of rendered images, end to end.")
-    parser.add_argument("--set", nargs="+", choices=list(SETS), default=list(SETS))
+    parser.add_argument("--set", nargs="+", choices=list(SETS), default=["loop_room", "street"])
     parser.add_argument("--images", type=int, default=1000)
     parser.add_argument("--out", type=Path, default=REPOSITORY / "build" / "large_sets")
     parser.add_argument(

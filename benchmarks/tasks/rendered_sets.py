@@ -1,4 +1,4 @@
-"""Large sets of rendered images with exact poses: a room that the camera circles, and a street of a kilometer with GPS.
+"""Large sets of rendered images with exact poses: a room that the camera circles, a street of a kilometer with GPS, and a yard in 12 megapixels.
 
 Images are written once; a complete folder is reused. Poses and fixes are kept beside the images, in truth.npz.
 """
@@ -9,13 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from epipole.cameras import Camera
 from epipole.geometry import Rigid3
 from epipole.io.images.photographs import write_jpeg_with_exif
 from epipole.scene import Georeference
-from epipole.synthetic import Box, Plane, Sphere, SyntheticScene, render
+from epipole.synthetic import Box, Plane, Sphere, SyntheticScene, courtyard, courtyard_views, render
 from epipole.synthetic.rides import facing, loop_room
 from epipole.synthetic.scene import Primitive, Vector
 
@@ -29,6 +30,8 @@ GPS_SIGMA_M = np.array([2.0, 2.0, 3.0])
 """Standard deviations of the fixes: east, north, up."""
 ORIGIN = np.array([48.2, 11.6, 520.0])
 """Latitude and longitude in degrees and altitude in meters of the start of the street."""
+PHOTOGRAPH, ENLARGED = (4000, 3000), 2
+"""Width and height of the yard's images, and how many times smaller they are rendered: this takes a quarter of the time."""
 HALF_STREET_M, SIGHT_M, BEHIND_M = 6.0, 180.0, 25.0
 """From the center line to the facades; how far ahead and behind the camera things are rendered."""
 CROSSING_M = (60.0, 100.0)
@@ -62,6 +65,8 @@ class _Plan:
     scene_of: Callable[[int], SyntheticScene]
     """The scene, or the part of it that an image sees."""
     is_located: bool = False
+    enlarged: int = 1
+    """How many times smaller the images are rendered than they are written."""
 
 
 def prepare_set(name: str, num_images: int, folder: Path, seed: int = STREET_SEED) -> RenderedSet:
@@ -98,10 +103,17 @@ def prepare_set(name: str, num_images: int, folder: Path, seed: int = STREET_SEE
 
 def _write_images(plan: _Plan, folder: Path, names: tuple[str, ...], lat_lon_alt: np.ndarray | None) -> None:
     fixes = None if lat_lon_alt is None else _with_noise(plan.cams_from_world.centers())
+    size = plan.camera.width, plan.camera.height
+    camera = plan.camera.scaled_to(size[0] // plan.enlarged, size[1] // plan.enlarged)
     for k, name in enumerate(names):
-        image = render(plan.scene_of(k), plan.camera, plan.cams_from_world[k], noise_sigma=NOISE_GRAY, seed=k)
+        image = render(plan.scene_of(k), camera, plan.cams_from_world[k], noise_sigma=NOISE_GRAY, seed=k)
         if fixes is None:
-            write_jpeg_with_exif(folder / name, image.rgb, quality=QUALITY)
+            rgb = (
+                image.rgb
+                if plan.enlarged == 1
+                else cv2.resize(image.rgb, size, interpolation=cv2.INTER_CUBIC)
+            )
+            write_jpeg_with_exif(folder / name, rgb, quality=QUALITY)
         else:
             lat_deg, lon_deg, alt_m = map(float, fixes[k])
             gps = (lat_deg, lon_deg, alt_m)
@@ -128,6 +140,15 @@ def _room_plan(num_images: int, _seed: int) -> _Plan:
     ride = loop_room(num_frames=num_images, size=(WIDTH, HEIGHT))
     scene = ride.scene_at(0.0)
     return _Plan(ride.camera, ride.world_from_camera.inverse(), lambda _: scene)
+
+
+def _yard_plan(num_images: int, _seed: int) -> _Plan:
+    """Photographs on an arc, all of which are matched with each other by default if they are 120 or fewer."""
+    width, height = PHOTOGRAPH
+    focal_px = FOCAL_35MM / 36.0 * width
+    camera = Camera("PINHOLE", width, height, [focal_px, focal_px, (width - 1) / 2, (height - 1) / 2])
+    scene = courtyard()
+    return _Plan(camera, courtyard_views(num_images), lambda _: scene, enlarged=ENLARGED)
 
 
 def _street_plan(num_images: int, seed: int) -> _Plan:
@@ -264,4 +285,8 @@ def _trees(center_line: _CenterLine, rng: np.random.Generator) -> list[tuple[flo
     return out
 
 
-SETS: dict[str, Callable[[int, int], _Plan]] = {"loop_room": _room_plan, "street": _street_plan}
+SETS: dict[str, Callable[[int, int], _Plan]] = {
+    "loop_room": _room_plan,
+    "street": _street_plan,
+    "yard": _yard_plan,
+}

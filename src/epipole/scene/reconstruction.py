@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
 
+from epipole import _parallel
 from epipole._checks import check_fields, check_indices, check_offsets, checked
 from epipole.cameras import Camera
 from epipole.errors import ConfigError, ShapeError
@@ -158,15 +159,20 @@ class Reconstruction:
         NaN where the camera cannot see the point, such as behind it.
         """
         cams_from_world, camera_of_image = self.cams_from_world(), self.camera_of_image
-        points, pixels = self.points.xyz_in_world[self.tracks.point_of_observation()], self.observed_pixels()
-        out = np.full(len(pixels), np.nan)
+        point, keypoint = self.tracks.point_of_observation(), self.tracks.keypoint
+        out = np.full(len(point), np.nan)
         order = np.argsort(self.tracks.image, kind="stable")
         bounds = np.searchsorted(self.tracks.image[order], np.arange(len(self.images) + 1))
-        for image in np.flatnonzero(np.diff(bounds)):
+        observing = np.flatnonzero(np.diff(bounds)).tolist()
+
+        def measure(index: int) -> None:
+            image = observing[index]
             rows = order[bounds[image] : bounds[image + 1]]
-            in_cam = cams_from_world[image].apply(points[rows])
+            in_cam = cams_from_world[image].apply(self.points.xyz_in_world[point[rows]])
             projected = self.cameras[int(camera_of_image[image])].project(in_cam)
-            out[rows] = np.linalg.norm(projected - pixels[rows], axis=1)
+            out[rows] = np.linalg.norm(projected - self.images.keypoints_of(image)[keypoint[rows]], axis=1)
+
+        _parallel.map_items(measure, len(observing))
         return out
 
     def mean_reprojection_error_px(self) -> float:

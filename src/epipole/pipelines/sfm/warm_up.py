@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from contextlib import suppress
+from functools import cache
 
 import numpy as np
 
@@ -25,8 +26,9 @@ PAIRS = ((0, 1), (0, 2), (1, 2))
 _ALONE = "from epipole.pipelines.sfm.warm_up import warm_up_verification; warm_up_verification()"
 
 
+@cache
 def warm_up() -> None:
-    """Call every kernel with the types it will see.
+    """Call every kernel with the types it will see; once per process.
 
     Without cached kernels, a second process compiles those of two-view geometry at the same time, because Numba
     compiles one function at a time per process. If that fails, they are compiled here.
