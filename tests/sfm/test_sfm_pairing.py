@@ -8,7 +8,7 @@ import pytest
 
 from epipole.errors import ConfigError, FileFormatError
 from epipole.pipelines.sfm.config import PairingConfig
-from epipole.pipelines.sfm.matching.pairing import choose_pairs, read_pairs, sorted_pairs
+from epipole.pipelines.sfm.matching.pairing import ALL_AT_ONCE, choose_pairs, read_pairs, sorted_pairs
 
 NO_GPS = (np.nan, np.nan, np.nan)
 
@@ -45,6 +45,17 @@ def test_few_pictures_are_compared_each_with_each() -> None:
     assert chosen(images, positions([None] * 4), exhaustive_limit=4) == expected
     assert chosen(images, positions([None] * 4), exhaustive_limit=3, neighbors=1) < expected
     assert chosen(images[:1], positions([None])) == set()
+
+
+def test_of_more_pictures_the_nearest_are_compared_first() -> None:
+    images, nowhere = images_of(list(range(ALL_AT_ONCE + 1))), positions([None] * (ALL_AT_ONCE + 1))
+    every = set(combinations(range(len(images)), 2))
+    found = choose_pairs(images, nowhere, PairingConfig(first_neighbors=2), is_video=False)
+    assert len(images) - 1 <= len(found.first) <= 2 * len(images)
+    assert chosen(images, nowhere, first_neighbors=2) == every
+    for options, count in ((PairingConfig(), ALL_AT_ONCE), (PairingConfig(method="exhaustive"), len(images))):
+        at_once = choose_pairs(images[:count], nowhere[:count], options, is_video=False)
+        assert len(at_once.first) == count * (count - 1) // 2 and not len(at_once.later)
 
 
 @pytest.mark.parametrize("method", ["sequential", "auto"])

@@ -23,7 +23,7 @@ class PairingConfig:
     method: Literal["auto", "exhaustive", "sequential", "spatial", "retrieval"] = "auto"
     """auto: sequential for video; else exhaustive for few images; else spatial or, without GPS, retrieval."""
     exhaustive_limit: int = 120
-    """auto: match all pairs for up to this many images."""
+    """auto: for up to this many images, all pairs are candidates; of more than 60, those with the nearest neighbors are matched first."""
     neighbors: int = 30
     """retrieval and spatial: pairs per image."""
     first_neighbors: int = 10

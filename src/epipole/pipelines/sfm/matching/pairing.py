@@ -27,6 +27,9 @@ NEXT_IN_TIME = 2
 """Number of following photographs, in the order of time, that each photograph is matched with."""
 LONGEST_PAUSE_S = 60.0
 """Longest time between two of them: after a pause the photographer has usually moved on. Not tuned on any set."""
+ALL_AT_ONCE = 60
+"""Images of which all pairs are matched in one round. Of more, most pairs of images that see the same would observe the same points
+once more: pairs with the nearest neighbors come first, and of all others those whose images have few points in common by then."""
 ROWS_AT_ONCE = 1024
 """Images that are compared with all others at once, which limits the memory."""
 
@@ -74,6 +77,8 @@ def choose_pairs(
     n, method = len(descriptors), method_of(lat_lon_alt, config, is_video=is_video)
     has_gps = np.isfinite(lat_lon_alt[:, :2]).all(axis=1)
     if method == "exhaustive":
+        if config.method == "auto" and n > ALL_AT_ONCE:
+            return _in_two_rounds(_similar_images(descriptors, n - 1), config.first_neighbors)
         return ChosenPairs(np.stack(np.triu_indices(n, 1), axis=1).astype(np.int32))
     if method == "sequential":
         reach = min(config.overlap, n - 1)
