@@ -1,4 +1,4 @@
-"""Two large sets of rendered images with exact poses, through `epipole reconstruct`: `python -m benchmarks.large_sets`.
+"""Large sets of rendered images with exact poses, through `epipole reconstruct`: `python -m benchmarks.large_sets`.
 
 Renders the sets of `benchmarks.tasks.rendered_sets`, reconstructs each in its own process on two threads, and compares the largest model
 with the true poses. Memory is that of the process and of those that it starts. `--set`, `--images` and `--out` choose what is run and where
