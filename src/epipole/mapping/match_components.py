@@ -60,15 +60,14 @@ def connect_matches(
     )
     strongest_first = np.argsort(-view_graph.num_inliers().astype(np.int64), kind="stable")
     graph = view_graph.image1, view_graph.image2, view_graph.keypoint1, view_graph.keypoint2
-    state = component_kernels.connect_without_conflict(
+    number, members, used = component_kernels.connect_without_conflict(
         strongest_first, view_graph.match_offsets, *graph, keypoint_offsets, 0, found, image, len(image)
     )
     if further is not None:
         each = np.arange(len(further) + 1)
         matches = further.image1, further.image2, further.keypoint1, further.keypoint2
-        number, *members = state
         component_kernels.connect_without_conflict(
-            each[:-1], each, *matches, keypoint_offsets, number, found, *members
+            each[:-1], each, *matches, keypoint_offsets, number, found, members, used
         )
     component_kernels.find_roots(parent)
     sizes = np.bincount(parent, minlength=len(parent))

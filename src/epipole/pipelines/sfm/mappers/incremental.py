@@ -77,7 +77,7 @@ class IncrementalMapper:
         self.model, self.view_graph, self.config = model, view_graph, config
         self.min_track_length = min_track_length
         self.is_last = is_last
-        """Whether `finish` adjusts all points; False if the model will be completed and adjusted again."""
+        """Whether the last round of `finish` adjusts all points; False if the model will be completed and adjusted again."""
         self.consistency = MatchConsistency(model, view_graph)
         self.rejections: dict[int, Rejection] = {}
         self.notes: list[str] = []

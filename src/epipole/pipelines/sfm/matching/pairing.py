@@ -76,9 +76,7 @@ def choose_pairs(
     """
     n, method = len(descriptors), method_of(lat_lon_alt, config, is_video=is_video)
     has_gps = np.isfinite(lat_lon_alt[:, :2]).all(axis=1)
-    if method == "exhaustive":
-        if config.method == "auto" and n > ALL_AT_ONCE:
-            return _in_two_rounds(_similar_images(descriptors, n - 1), config.first_neighbors)
+    if method == "exhaustive" and (config.method != "auto" or n <= ALL_AT_ONCE):
         return ChosenPairs(np.stack(np.triu_indices(n, 1), axis=1).astype(np.int32))
     if method == "sequential":
         reach = min(config.overlap, n - 1)
@@ -89,16 +87,14 @@ def choose_pairs(
         return ChosenPairs(
             sorted_pairs([*pairs, *_pairs_of(_similar_images(descriptors, min(config.neighbors, 10)))])
         )
-    if method == "retrieval":
-        return _with_first(
-            _in_two_rounds(_similar_images(descriptors, config.neighbors), config.first_neighbors),
-            _next_in_time(taken_s, names),
-        )
+    if method in ("exhaustive", "retrieval"):
+        similar = _similar_images(descriptors, n - 1 if method == "exhaustive" else config.neighbors)
+        return _with_first(_in_two_rounds(similar, config.first_neighbors), _next_in_time(taken_s, names))
     if has_gps.sum() < 2:
         raise ConfigError("spatial pairs need GPS in the images' EXIF")
     near = _in_two_rounds(_spatial(lat_lon_alt, has_gps, config.neighbors), config.first_neighbors)
-    similar = _pairs_of(_similar_images(descriptors, 5))
-    return _with_first(near, [*similar, *_next_in_time(taken_s, names)])
+    alike = _pairs_of(_similar_images(descriptors, 5))
+    return _with_first(near, [*alike, *_next_in_time(taken_s, names)])
 
 
 def _in_sequence(rows: Iterable[int], names: Sequence[str]) -> list[int]:
