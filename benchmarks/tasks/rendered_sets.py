@@ -30,8 +30,10 @@ GPS_SIGMA_M = np.array([2.0, 2.0, 3.0])
 """Standard deviations of the fixes: east, north, up."""
 ORIGIN = np.array([48.2, 11.6, 520.0])
 """Latitude and longitude in degrees and altitude in meters of the start of the street."""
-PHOTOGRAPH, ENLARGED = (4000, 3000), 2
-"""Width and height of the yard's images, and how many times smaller they are rendered: this takes a quarter of the time."""
+PHOTOGRAPH = 4000, 3000
+"""Width and height of the yard's images."""
+ENLARGED = 2
+"""How many times smaller these are rendered than written: this takes a quarter of the time."""
 HALF_STREET_M, SIGHT_M, BEHIND_M = 6.0, 180.0, 25.0
 """From the center line to the facades; how far ahead and behind the camera things are rendered."""
 CROSSING_M = (60.0, 100.0)
@@ -143,7 +145,7 @@ def _room_plan(num_images: int, _seed: int) -> _Plan:
 
 
 def _yard_plan(num_images: int, _seed: int) -> _Plan:
-    """Photographs on an arc, all of which are matched with each other by default if they are 120 or fewer."""
+    """Photographs on an arc, all of which show the same yard."""
     width, height = PHOTOGRAPH
     focal_px = FOCAL_35MM / 36.0 * width
     camera = Camera("PINHOLE", width, height, [focal_px, focal_px, (width - 1) / 2, (height - 1) / 2])

@@ -17,7 +17,7 @@ MIN_VIEW_COSINE = float(np.cos(np.deg2rad(40.0)))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointViews(Declared):
-    """Observations of a model, with the direction from each point to the camera that observes it."""
+    """Observations of a model, sorted by image, with the direction from each point to the camera that observes it."""
 
     points_in_world: Float64[np.ndarray, "p 3"]
     point: Int32[np.ndarray, " k"]
@@ -25,12 +25,8 @@ class PointViews(Declared):
     image: Int32[np.ndarray, " k"]
     keypoint: Int32[np.ndarray, " k"]
     to_camera: Float64[np.ndarray, "k 3"]
-    by_image: Int64[np.ndarray, " k"]
-    """Observations sorted by image: those of image i are by_image[starts[i] : starts[i + 1]]."""
     starts: Int64[np.ndarray, " n1"]
-    by_point: Int64[np.ndarray, " k"]
-    """Observations sorted by point: those of point j are by_point[point_starts[j] : point_starts[j + 1]]."""
-    point_starts: Int64[np.ndarray, " p1"]
+    """Image i has the observations from starts[i] to starts[i + 1]."""
 
     @staticmethod
     @checked
@@ -41,7 +37,7 @@ class PointViews(Declared):
         image: Int32[np.ndarray, " k"],
         keypoint: Int32[np.ndarray, " k"],
     ) -> PointViews:
-        """Sort observations by image and by point.
+        """Sort observations by image; those of one image stay in their order.
 
         Args:
             points_in_world: the points.
@@ -57,17 +53,13 @@ class PointViews(Declared):
             raise ShapeError("point, image and keypoint must have the same length")
         check_indices(point, "point", len(points_in_world))
         check_indices(image, "image", len(centers_in_world))
+        order = np.argsort(image, kind="stable")
+        point, image, keypoint = point[order], image[order], keypoint[order]
         away = centers_in_world[image] - points_in_world[point]
         away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-300)
-        return PointViews(
-            np.ascontiguousarray(points_in_world),
-            point,
-            image,
-            keypoint,
-            away,
-            *_sorted_groups(image, len(centers_in_world)),
-            *_sorted_groups(point, len(points_in_world)),
-        )
+        counts = np.bincount(image, minlength=len(centers_in_world))
+        starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        return PointViews(np.ascontiguousarray(points_in_world), point, image, keypoint, away, starts)
 
     def __len__(self) -> int:
         return len(self.point)
@@ -75,7 +67,7 @@ class PointViews(Declared):
     @checked
     def rows_of(self, image: int) -> Int64[np.ndarray, " m"]:
         """The observations in an image."""
-        return self.by_image[self.starts[image] : self.starts[image + 1]]
+        return np.arange(self.starts[image], self.starts[image + 1])
 
     @checked
     def seen_from(
@@ -93,17 +85,9 @@ class PointViews(Declared):
             center_in_world: camera center from which the points are looked for.
             neighbors: images whose points are looked for, sorted.
             image: image whose own points are left out; None: none are.
-            scratch: masks (p,) and (n,), all False, reused between calls; None: allocated.
+            scratch: arrays (p,) of int64, all -1, and float64, reused between calls; None: allocated.
         """
-        observed = kernels.Observations(
-            self.point,
-            self.image,
-            self.to_camera,
-            self.by_image,
-            self.starts,
-            self.by_point,
-            self.point_starts,
-        )
+        observed = kernels.Observations(self.point, self.to_camera, self.starts)
         found = np.empty(len(self.points_in_world), np.int64)
         count = kernels.closest_views(
             observed,
@@ -118,12 +102,6 @@ class PointViews(Declared):
         return np.sort(found[:count])
 
     def scratch(self) -> tuple[np.ndarray, np.ndarray]:
-        """Masks of points and images for repeated calls of `seen_from` by one thread."""
-        return np.zeros(len(self.points_in_world), bool), np.zeros(len(self.starts) - 1, bool)
-
-
-def _sorted_groups(group: np.ndarray, num_groups: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows in the order of their groups, and the first of each group."""
-    counts = np.bincount(group, minlength=num_groups)
-    rows = np.argsort(group, kind="stable").astype(np.int64)
-    return rows, np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        """Arrays for repeated calls of `seen_from` by one thread."""
+        count = len(self.points_in_world)
+        return np.full(count, kernels.NOT_FOUND, np.int64), np.empty(count)

@@ -55,7 +55,6 @@ class ReferenceModel(Declared):
             raise ShapeError("descriptors must have one row per keypoint of each image")
         point, tracks = model.tracks.point_of_observation(), model.tracks
         used = np.flatnonzero(model.is_registered()[tracks.image])
-        used = used[np.argsort(tracks.image[used], kind="stable")]
         # Keypoints of other detectors have zeros.
         is_described = np.concatenate([np.zeros(0, bool), *(own.any(axis=1) for own in descriptors)])
         used = used[is_described[model.keypoint_rows()[used]]]
