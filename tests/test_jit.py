@@ -267,6 +267,13 @@ def test_a_kernel_that_allocates_has_to_say_so() -> None:
         room_unsaid(3)
 
 
+def test_kernels_are_warmed_up_once_per_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    warm_up()
+    for part in ("warm_up_features", "warm_up_mapping", "warm_up_verification"):
+        monkeypatch.setattr(f"{warm_up.__module__}.{part}", lambda: pytest.fail("again"))
+    warm_up()
+
+
 def test_kernels_that_borrow_their_arrays_return_none() -> None:
     """A borrowed array that is returned would not be counted, and could be freed under its reader."""
     warm_up()

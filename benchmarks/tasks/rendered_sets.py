@@ -110,11 +110,9 @@ def _write_images(plan: _Plan, folder: Path, names: tuple[str, ...], lat_lon_alt
     for k, name in enumerate(names):
         image = render(plan.scene_of(k), camera, plan.cams_from_world[k], noise_sigma=NOISE_GRAY, seed=k)
         if fixes is None:
-            rgb = (
-                image.rgb
-                if plan.enlarged == 1
-                else cv2.resize(image.rgb, size, interpolation=cv2.INTER_CUBIC)
-            )
+            rgb = cv2.resize(
+                image.rgb, size, interpolation=cv2.INTER_CUBIC
+            )  # the same image if it has that size
             write_jpeg_with_exif(folder / name, rgb, quality=QUALITY)
         else:
             lat_deg, lon_deg, alt_m = map(float, fixes[k])
