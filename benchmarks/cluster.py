@@ -20,31 +20,52 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import cv2
 import distributed
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.measure import REPOSITORY, describe_machine
+from benchmarks.tasks.rendered_sets import prepare_set
 from benchmarks.tasks.sfm import SETS, data_root, prepare
 from epipole import reconstruct
+from epipole.cameras import Camera
 from epipole.runs import joined
 from epipole.runs.cluster import Connection
+from epipole.synthetic import courtyard, courtyard_views, render
 
 TIMED = {"summary.json", "report.html", "epipole.json", "config.json", "log.txt"}
 """Files that contain times."""
 FROZEN_S = 30.0
+COURTYARD, STREET = "courtyard", "street"
+"""Names of the rendered sets."""
+COURTYARD_IMAGES = 36
+STREET_IMAGES = 200
+
+
+def images_of(name: str, data: Path, folder: Path) -> Path:
+    """Folder with the images of a set; rendered ones are written below `folder`."""
+    if name == STREET:
+        return prepare_set(STREET, STREET_IMAGES, folder).images
+    if name != COURTYARD:
+        return prepare(name, data, folder).images
+    camera, out = Camera("PINHOLE", 640, 480, [520.0, 520.0, 319.5, 239.5]), folder / COURTYARD
+    out.mkdir(parents=True, exist_ok=True)
+    for k, cam_from_world in enumerate(courtyard_views(COURTYARD_IMAGES)):
+        cv2.imwrite(str(out / f"{k:03d}.png"), render(courtyard(), camera, cam_from_world).rgb[..., ::-1])
+    return out
 
 
 def main() -> None:
     """Run, print the table and write the results."""
     parser = argparse.ArgumentParser(description="Threads and a cluster of two processes.")
-    parser.add_argument("--set", default="fountain-P11", choices=list(SETS), metavar="SET")
+    parser.add_argument("--set", default="fountain-P11", choices=[*SETS, COURTYARD, STREET], metavar="SET")
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--losses", type=int, default=0, help="runs in which a worker is killed")
     parser.add_argument("--data", type=Path, help="data folder (default: $EPIPOLE_DATA or ../shared/data)")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        images = prepare(arguments.set, data_root(arguments.data), Path(folder)).images
+        images = images_of(arguments.set, data_root(arguments.data), Path(folder))
         found = measure(images, Path(folder), arguments.runs, arguments.losses)
     found = {"set": arguments.set, "machine": describe_machine(2), **found}
     file = REPOSITORY / "benchmarks" / "results" / f"cluster_{arguments.set}.json"

@@ -1,7 +1,7 @@
 """Errors of the scale that an IMU determines, against its standard deviation. `python -m benchmarks.inertial`.
 
 The data are synthetic hand-held motions, the same at constant velocity (no scale is observable), sections of EuRoC's real IMU log
-with the drone's true trajectory, and monocular SLAM of a rendered room with and without a synthetic IMU.
+with the drone's true trajectory, and SLAM of a rendered room with one camera and with a pair, with and without a synthetic IMU.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ from epipole.inertial import MountedImu, align_path_to_imu
 from epipole.io.sequences.imu_logs import read_imu
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam.frames import Frame, SlamCamera
+from epipole.pipelines.slam.map.imu import MOST_ALIGNED
 from epipole.pipelines.slam.output.scale import scale_by_imu
 from epipole.pipelines.slam.slam import Slam
 from epipole.scale import fit_scale_to_imu
-from epipole.synthetic.inertial import imu_along, inertial_path
+from epipole.synthetic.inertial import imu_and_biases_along, inertial_path
 from epipole.synthetic.rides import loop_room
 
 RESULTS = REPOSITORY / "benchmarks" / "results" / "inertial.json"
@@ -72,7 +73,7 @@ def calibrated(count: int, *, is_metric: bool) -> dict[str, Any]:
         over_sigma.append(np.abs(off) / np.sqrt(np.concatenate([np.diag(v) for v in variances])))
     within = np.array(over_sigma) <= 2.0
     return {
-        "name": "in meters" if is_metric else "up to scale",
+        "name": "synthetic motion in meters" if is_metric else "synthetic motion up to scale",
         "seeds": count,
         "gravity_deg_median": float(np.median(degrees)),
         "gravity_deg_largest": float(np.max(degrees)),
@@ -84,7 +85,7 @@ def calibrated(count: int, *, is_metric: bool) -> dict[str, Any]:
 
 def _calibration_table(rows: list[dict[str, Any]]) -> Table:
     table = Table(
-        *("synthetic motions", "seeds", "gravity (median)", "largest", "within 0.3 deg"),
+        *("data", "seeds", "gravity (median)", "largest", "within 0.3 deg"),
         *("gyroscope's bias within 2 sigma", "accelerometer's"),
     )
     for row in rows:
@@ -122,37 +123,78 @@ def euroc(folder: Path, *, whole: bool) -> Iterator[Trial]:
             yield UNIT, found.scale, found.sigma
 
 
-def tracked(count: int) -> tuple[list[Trial], list[float], list[float]]:
-    """Monocular SLAM of the room without an IMU, then with IMUs of seeds 0 to count - 1: scales, errors of position in mm and of gravity in degrees."""
+def tracked(count: int, sensor: str) -> tuple[list[Trial], dict[str, Any]]:
+    """SLAM of the room without an IMU, then with IMUs of seeds 0 to count - 1: scales, and errors of positions, gravity and biases.
+
+    Biases are those of the last keyframes, aligned once more.
+    """
     ride = loop_room(200, (320, 240))
-    numbers = range(0, 200, 2)
-    frames = [Frame(n / 10.0, ride.left(number).gray) for n, number in enumerate(numbers)]
+    numbers, has_pair = range(0, 200, 2), sensor == "pair"
+    frames = [
+        Frame(n / 10.0, ride.left(number).gray, ride.right(number).gray if has_pair else None)
+        for n, number in enumerate(numbers)
+    ]
     truth = ride.world_from_camera[np.array(numbers)]
     truth = truth[0].inverse() @ truth
     times = np.array([frame.timestamp_s for frame in frames])
     trials: list[Trial] = []
-    errors, gravity_deg = [], []
+    errors, gravity_deg, over_sigma = [], [], []
     for seed in range(-1, count):
         mounting = Rigid3.exp(np.random.default_rng([3, max(seed, 0)]).normal(size=6) * MOUNTING_SIGMA)
-        imu = MountedImu(imu_along(times, truth, mounting, seed), mounting) if seed >= 0 else None
-        system = Slam(SlamCamera(ride.camera), imu=imu)
+        log, *biases = imu_and_biases_along(times, truth, mounting, max(seed, 0))
+        imu = MountedImu(log, mounting)
+        system = Slam(
+            SlamCamera(ride.camera, ride.baseline if has_pair else None), imu=imu if seed >= 0 else None
+        )
         for frame in frames:
             system.track(frame)
         system.finish()
         trajectory = system.trajectory()
         rows = np.rint(10 * trajectory.timestamp_s).astype(int)
-        error = absolute_error(trajectory.world_from_body, truth[rows], "similarity")
+        error = absolute_error(trajectory.world_from_body, truth[rows], "rigid" if has_pair else "similarity")
         errors.append(1e3 * error.position.rmse)
-        if imu is not None:
-            found = scale_by_imu(system)
-            down = system.gravity_in_world
-            if down is not None:  # in the axes of the true world
-                turn = error.truth_from_estimate.rotation
-                gravity_deg.append(_angle_deg(turn @ down, np.array([0.0, 0.0, -1.0])))
-            trials.append(
-                found and (float(error.truth_from_estimate.scale), found.scale, found.fraction * found.scale)
-            )
-    return trials, errors, gravity_deg
+        if seed < 0:
+            continue
+        down = system.gravity_in_world
+        if down is not None:  # in the axes of the true world
+            axes = error.truth_from_estimate.rotation
+            gravity_deg.append(_angle_deg(axes @ down, np.array([0.0, 0.0, -1.0])))
+        over_sigma += _bias_errors(system, imu, biases, is_metric=has_pair)
+        found = None if has_pair else scale_by_imu(system)
+        trials.append(
+            found and (float(error.truth_from_estimate.scale), found.scale, found.fraction * found.scale)
+        )
+    within = np.array(over_sigma).reshape(-1, 6) <= 2.0
+    return trials, {
+        "name": f"SLAM of the room, {sensor}",
+        "seeds": count,
+        "error_mm_alone": errors[0],
+        "error_mm_median": float(np.median(errors[1:])),
+        "gravity_found": len(gravity_deg),
+        "gravity_deg_median": float(np.median(gravity_deg)),
+        "gravity_deg_largest": float(np.max(gravity_deg)),
+        "gravity_within_0.3_deg": float((np.array(gravity_deg) <= 0.3).mean()),
+        "gyro_bias_within_2_sigma": float(within[:, :3].mean()),
+        "accel_bias_within_2_sigma": float(within[:, 3:].mean()),
+    }
+
+
+def _bias_errors(
+    system: Slam, imu: MountedImu, biases: list[np.ndarray], *, is_metric: bool
+) -> list[np.ndarray]:
+    """(6,) errors of the mean biases over the last keyframes, in standard deviations; none if they do not determine them."""
+    keyframes = system.maps[0].keyframes[-MOST_ALIGNED:]
+    times = np.array([keyframe.timestamp_s for keyframe in keyframes])
+    poses = Rigid3.stack([keyframe.cam_from_world.inverse() for keyframe in keyframes])
+    try:
+        found = align_path_to_imu(times, poses, imu, is_metric=is_metric)
+    except DegenerateGeometryError:
+        return []
+    during = (imu.log.timestamp_s >= times[0]) & (imu.log.timestamp_s <= times[-1])
+    gyro, accel = (bias[during].mean(axis=0) for bias in biases)
+    off = np.concatenate([found.gyro_bias - gyro, found.accel_bias - accel])
+    variances = [found.calibration.covariance[:3, :3], found.accel_bias_covariance]
+    return [np.abs(off) / np.sqrt(np.concatenate([np.diag(v) for v in variances]))]
 
 
 def summary_of(name: str, trials: Iterable[Trial]) -> dict[str, Any]:
@@ -188,8 +230,12 @@ def main() -> None:
     if folder.is_dir():
         rows.append(summary_of("EuRoC V1_01, sections of 15 s", euroc(folder, whole=False)))
         rows.append(summary_of("EuRoC V1_01, the whole flight", euroc(folder, whole=True)))
-    trials, errors, gravity_deg = tracked(arguments.rides)
-    rows.append(summary_of("SLAM of the room with an IMU", trials))
+    rides = []
+    for sensor in ("one camera", "pair"):
+        trials, ride = tracked(arguments.rides, sensor)
+        rides.append(ride)
+        if sensor == "one camera":
+            rows.append(summary_of("SLAM of the room with an IMU", trials))
     table = Table(
         *("data", "trials", "refused", "within 2 sigma", "within 2 %"),
         *("largest error", "median sigma", "s per trial"),
@@ -203,24 +249,14 @@ def main() -> None:
             row["name"], str(row["tried"]), str(row["refused"]), *words, f"{row['seconds_each']:.2f}"
         )
     Console().print(table)
-    with_imu = float(np.median(errors[1:]))
-    Console().print(
-        f"position error in the room: {errors[0]:.2f} mm without an IMU, {with_imu:.2f} mm with one (median)"
-    )
     calibration = [calibrated(arguments.seeds, is_metric=is_metric) for is_metric in (False, True)]
-    Console().print(_calibration_table(calibration))
-    if gravity_deg:
-        middle, largest = np.median(gravity_deg), max(gravity_deg)
+    Console().print(_calibration_table([*calibration, *rides]))
+    for ride in rides:
         Console().print(
-            f"direction of gravity in the room: {middle:.2f} degrees off (median), at most {largest:.2f}"
+            f"{ride['name']}: positions {ride['error_mm_alone']:.2f} mm off without an IMU, "
+            f"{ride['error_mm_median']:.2f} mm with one (median)"
         )
-    found = {
-        "calibration": calibration,
-        "slam_gravity_deg": gravity_deg,
-        "machine": describe_machine(1),
-        "rows": rows,
-        "slam_error_mm": {"alone": errors[0], "with": errors[1:]},
-    }
+    found = {"machine": describe_machine(1), "rows": rows, "calibration": calibration, "slam": rides}
     RESULTS.write_text(json.dumps(found, indent=1) + "\n")
 
 

@@ -26,8 +26,8 @@ from epipole.pipelines.fields.config import NerfConfig as NerfConfig
 from epipole.pipelines.fields.config import RenderConfig as RenderConfig
 from epipole.pipelines.fields.config import SplatConfig as SplatConfig
 from epipole.pipelines.fields.meshing import mesh as mesh
-from epipole.pipelines.fields.rendering import RenderResult as RenderResult
-from epipole.pipelines.fields.rendering import render as render
+from epipole.pipelines.fields.rendering.run import RenderResult as RenderResult
+from epipole.pipelines.fields.rendering.run import render as render
 from epipole.pipelines.fields.run import FieldResult as FieldResult
 from epipole.pipelines.fields.run import nerf as nerf
 from epipole.pipelines.fields.run import splat as splat

@@ -12,10 +12,10 @@ from epipole.cameras import Camera
 from epipole.errors import ConfigError
 from epipole.geometry import Rigid3
 from epipole.io.gaussians.ply import write_gaussian_ply
-from epipole.pipelines.fields.camera_path import path_along
 from epipole.pipelines.fields.cameras import RenderView
 from epipole.pipelines.fields.config import RenderConfig
-from epipole.pipelines.fields.rendering import render
+from epipole.pipelines.fields.rendering.camera_path import path_along
+from epipole.pipelines.fields.rendering.run import render
 from epipole.pipelines.fields.run import splat
 from epipole.synthetic import look_at
 

@@ -107,7 +107,7 @@ def test_a_comparison_renders_no_view_of_the_field_twice(source, tmp_path, monke
     monkeypatch.setattr(held_out, "RENDER_FRACTION", 0.0)
     monkeypatch.setattr(held_out, "seconds_of_view", lambda renderer, view: 1.0)
     found = compare_fields(source, tmp_path / "out", time="0.2s", test_every=4, kind="grid")
-    assert sorted(rendered) == [("SplatTrainer", "images/00.png"), ("VoxelTrainer", "images/00.png")]
+    assert sorted(rendered) == [("SplatTrainer", "images/00.png"), ("WrittenField", "images/00.png")]
     given = json.loads((found.out / "compare.json").read_text())
     assert given["views"] == 1 and any("1 of 4 views" in words for words in found.warnings)
     assert given["nerf"]["frames_s"] > 0 and given["nerf"]["queries"] > 0.5

@@ -16,7 +16,7 @@ from epipole.optim import (
     with_fixed_gauge,
     with_result,
 )
-from epipole.synthetic.inertial import imu_along, inertial_path
+from epipole.synthetic.inertial import imu_along, imu_and_biases_along, inertial_path
 from whole import IS_WHOLE
 
 QUIET = ImuNoise(accel_gain_sigma=1e-6)
@@ -127,11 +127,16 @@ def test_an_adjustment_with_them_is_nearer_the_truth_and_tells_its_scale():
 def test_a_unit_along_a_path_measures_its_motion():
     times = np.linspace(0.0, 6.0, 60)
     xi = np.column_stack([np.sin(times), np.cos(1.3 * times), 0.1 * times, *np.zeros((2, 60)), 0.5 * times])
-    log = imu_along(
-        times, Rigid3.exp(xi), Rigid3.identity(), 0, ImuNoise(gyro_density=1e-9, accel_density=1e-9)
-    )
+    exact = ImuNoise(gyro_density=1e-9, accel_density=1e-9, accel_gain_sigma=1e-9)
+    log, gyro_bias, accel_bias = imu_and_biases_along(times, Rigid3.exp(xi), Rigid3.identity(), 0, exact)
     np.testing.assert_allclose(np.diff(log.gyro_rad_s, axis=0), 0.0, atol=1e-4)
-    assert np.linalg.norm(log.gyro_rad_s.mean(axis=0) - [0.0, 0.0, 0.5]) < 0.15  # with a bias
+    inside = (log.timestamp_s > 1.0) & (log.timestamp_s < 5.0)  # splines end with another curvature
+    np.testing.assert_allclose(
+        (log.gyro_rad_s - gyro_bias)[inside], [[0.0, 0.0, 0.5]] * inside.sum(), atol=1e-3
+    )
+    other, _, other_bias = imu_and_biases_along(times, Rigid3.exp(xi), Rigid3.identity(), 1, exact)
+    np.testing.assert_allclose(log.accel_m_s2 - accel_bias, other.accel_m_s2 - other_bias, atol=1e-6)
+    assert np.abs(accel_bias - other_bias).max() > 0.01
     with pytest.raises(ShapeError, match="four"):
         imu_along(times[:3], Rigid3.exp(xi[:3]), Rigid3.identity(), 0)
     with pytest.raises(ShapeError, match="increase"):

@@ -2,6 +2,7 @@
 
 from epipole.runs.cluster import Cluster as Cluster
 from epipole.runs.cluster import ClusterClient as ClusterClient
+from epipole.runs.cluster import Connection as Connection
 from epipole.runs.cluster import joined as joined
 from epipole.runs.contents import content_digests as content_digests
 from epipole.runs.dispatch import run_units as run_units

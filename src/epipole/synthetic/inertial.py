@@ -106,6 +106,24 @@ def imu_along(
 ) -> ImuLog:
     """Measurements of an IMU mounted on a camera that moves along splines through given poses.
 
+    Arguments and errors are those of `imu_and_biases_along`.
+    """
+    return imu_and_biases_along(
+        timestamp_s, world_from_camera, camera_from_imu, seed, noise, gravity_in_world
+    )[0]
+
+
+@checked
+def imu_and_biases_along(
+    timestamp_s: Float64[np.ndarray, " n"],
+    world_from_camera: Rigid3,
+    camera_from_imu: Rigid3,
+    seed: int,
+    noise: ImuNoise | None = None,
+    gravity_in_world: tuple[float, float, float] = (0.0, 0.0, -GRAVITY),
+) -> tuple[ImuLog, Float64[np.ndarray, "m 3"], Float64[np.ndarray, "m 3"]]:
+    """The same with the true biases of gyroscope and accelerometer at each measurement.
+
     Args:
         timestamp_s: increasing times of the poses.
         world_from_camera: the poses, in meters.
@@ -128,7 +146,7 @@ def imu_along(
     swing = CubicSpline(timestamp_s, unit.translation)(times, 2)
     back = np.swapaxes(rotations(times).as_matrix(), 1, 2)
     force = (back @ (swing - np.array(gravity_in_world))[..., None])[..., 0]
-    return _noisy(np.random.default_rng([18, seed]), times, rotations(times, 1), force, noise)[0]
+    return _noisy(np.random.default_rng([18, seed]), times, rotations(times, 1), force, noise)
 
 
 def _noisy(

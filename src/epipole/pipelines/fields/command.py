@@ -89,7 +89,7 @@ def render(
     from epipole.screen import open_console, progress_on_screen
 
     with progress_on_screen({"render": "Rendering"}) as progress:
-        from epipole.pipelines.fields.rendering import render as run
+        from epipole.pipelines.fields.rendering.run import render as run
 
         done = run(source, out, config, progress)
     text = f"Written {done.out}: {done.num_frames} images, rendered at {done.frames_per_s:.1f} per second"

@@ -25,10 +25,11 @@ from epipole.pipelines.fields.kinds import KINDS, Kind
 from epipole.pipelines.fields.options import NerfKeywords
 from epipole.pipelines.fields.page import rendered_names
 from epipole.pipelines.fields.recipes import GaussianRecipe, RayRecipe
+from epipole.pipelines.fields.rendering.written_field import in_bytes
 from epipole.pipelines.fields.run import FieldResult, train_field
 from epipole.pipelines.fields.scores import scores_of
 from epipole.pipelines.fields.training import MEANS, METRICS, background_of, training_of
-from epipole.runs import ProgressCallback, Run, ignore_progress, open_run
+from epipole.runs import PassedExecutor, ProgressCallback, Run, ignore_progress, open_run
 
 IMAGES, FIGURES = "images", "compare.json"
 SPLAT, NERF = "splat", "nerf"
@@ -58,6 +59,7 @@ def compare_fields(
     out: str | Path,
     config: NerfConfig | None = None,
     progress: ProgressCallback = ignore_progress,
+    executor: PassedExecutor | None = None,
     **options: Unpack[NerfKeywords],
 ) -> FieldComparison:
     """Train Gaussians and a neural field (or a grid) for the same time, and render the same views with both.
@@ -70,6 +72,7 @@ def compare_fields(
         out: output folder: `splat`, `nerf`, `images/NAME.png` (image, Gaussians, field), `compare.json`.
         config: images, training time, and the field to compare with; both trainings use its seed.
         progress: called with the progress of each stage.
+        executor: executor for images instead of the config's cluster, as for `reconstruct`.
         **options: single options by name, which override `config`: `time="1m"`.
 
     Raises:
@@ -79,14 +82,15 @@ def compare_fields(
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
-    given = training_of("compare-fields", (source, out), (NerfConfig, config), progress, options)
+    given = training_of("compare-fields", (source, out), (NerfConfig, config), progress, options, executor)
     source, wanted = given.source, given.config
     shared = {name.name: getattr(wanted, name.name) for name in fields(FieldOptions)}
     with open_run(given.task, given.out) as run:
+        work = run.job.executor
         of_splat = (SplatConfig, SplatConfig(seed=wanted.seed, **shared))
-        splat = training_of(SPLAT, (source, run.root / SPLAT), of_splat, progress, {})
+        splat = training_of(SPLAT, (source, run.root / SPLAT), of_splat, progress, {}, work)
         gaussians, images = train_field(splat, GaussianRecipe(splat.config))
-        nerf = training_of(NERF, (source, run.root / NERF), (NerfConfig, wanted), progress, {})
+        nerf = training_of(NERF, (source, run.root / NERF), (NerfConfig, wanted), progress, {}, work)
         field, _ = train_field(nerf, RayRecipe(nerf.config), images)
         background = background_of(wanted, images)
         run.warnings = list(dict.fromkeys([*gaussians.warnings, *field.warnings]))
@@ -194,8 +198,7 @@ def _compared(
             for name, shown in ((SPLAT, splatted(view)), (NERF, marched(view))):
                 beside.append(shown.image)
                 scores[name].append(shown.row)
-            whole = np.rint(255 * np.clip(np.hstack(beside), 0, 1)).astype(np.uint8)
-            write_png(aside / IMAGES / files[view.name], whole)
+            write_png(aside / IMAGES / files[view.name], in_bytes(np.hstack(beside)))
             run.report("compare", n + 1, len(views))
     means = {
         name: {part: float(np.mean([one[part] for one in rows])) for part in rows[0]}

@@ -15,6 +15,19 @@ USUAL_TIME = "5m"
 _UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)([smh]?)")
 
+
+def check_cluster(address: str | None) -> None:
+    """Check the address of a cluster, if there is one.
+
+    Raises:
+        ConfigError: it has no known form.
+    """
+    if address is not None:
+        from epipole.runs.cluster import Cluster
+
+        Cluster(address)
+
+
 Background = Literal["auto", "white", "black"]
 
 
@@ -36,6 +49,10 @@ class FieldOptions:
     """Background color: white if images are transparent, else black."""
     masks: Path | None = None
     """Folder of masks, MASKS/NAME.png; black pixels are neither trained on nor compared."""
+    cluster: str | None = None
+    """Reconstruct photographs, and render held-out views of `nerf`, on a Dask cluster: tcp://HOST:PORT, tls://HOST:PORT, local:N, slurm:N."""
+    shared_folder: bool = True
+    """All machines of the cluster see images and output folder under the same paths; otherwise files are sent."""
     view: bool = False
     """Watch the training in the browser; costs at most a tenth of the time."""
     port: int | None = None
@@ -50,6 +67,7 @@ class FieldOptions:
             ConfigError: a value is out of range, or both time and steps are given.
         """
         check_options(self)
+        check_cluster(self.cluster)
         if self.time is not None and self.steps is not None:
             raise ConfigError("time and steps exclude each other: give one of them")
         if self.steps is not None and not 1 <= self.steps < 10**9:
@@ -134,6 +152,10 @@ class RenderConfig:
     """Render with Mip-Splatting's filter; None: as in training."""
     output: Literal["color", "depth", "normals", "coverage"] = "color"
     """What to render; depth has colors from near (blue) to far (red), normals are (n + 1) / 2 in the camera frame."""
+    cluster: str | None = None
+    """Render images on a Dask cluster: tcp://HOST:PORT, tls://HOST:PORT, local:N or slurm:N."""
+    shared_folder: bool = True
+    """All machines of the cluster see field and output folder under the same paths; otherwise files are sent."""
 
     @property
     def orbit_options(self) -> tuple[str, ...]:
@@ -150,6 +172,7 @@ class RenderConfig:
         if cast(str, self.output) == "colour":  # the British spelling
             object.__setattr__(self, "output", "color")
         check_options(self, negative=("rotation_deg",))
+        check_cluster(self.cluster)
         if self.orbit_options and (self.path == "cameras" or self.cameras is not None):
             raise ConfigError(
                 f"{self.orbit_options[0]} is an option of the orbit: leave it out, or render an orbit (path=orbit, no cameras)"

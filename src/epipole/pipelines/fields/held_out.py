@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from time import perf_counter
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -13,10 +15,19 @@ from epipole._jit import compile_seconds
 from epipole._parallel import num_threads
 from epipole.fields.training_view import TrainingView
 from epipole.io.images.rgba import write_png
+from epipole.pipelines.fields.cameras import RenderView
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.page import rendered_names
+from epipole.pipelines.fields.rendering.image_units import EXACT_IMAGE, UNITS, ViewPayload, unit_of_view
+from epipole.pipelines.fields.rendering.written_field import (
+    FieldFile,
+    Rendering,
+    in_bytes,
+    renderer_of,
+    stored_once,
+)
 from epipole.pipelines.fields.scores import scores_of
-from epipole.runs import Run
+from epipole.runs import Connection, Run, Unit, load, run_units
 
 Found = TypeVar("Found")
 
@@ -40,6 +51,64 @@ class Renderer(Protocol):
         """(h, w, 3) render of a view, and the number of evaluations."""
 
 
+class Timed(NamedTuple):
+    """A rendered view."""
+
+    image: np.ndarray
+    seconds: float
+    """Without compilation."""
+    num_evaluated: int
+
+
+class WrittenField:
+    """A field as stored in its file."""
+
+    def __init__(self, file: Path, background: float) -> None:
+        self.rendering = Rendering(FieldFile.now(file), background=background)
+
+    @property
+    def background(self) -> np.ndarray:
+        """(3,) background color."""
+        return np.full(3, self.rendering.background, np.float32)
+
+    def render_counted(self, view: TrainingView) -> tuple[np.ndarray, int]:
+        """(h, w, 3) render of a view, and the number of evaluations."""
+        return renderer_of(self.rendering)(_as_render_view(view))
+
+
+class Workers:
+    """The machines of a cluster, which render views from the file of a field."""
+
+    def __init__(self, connection: Connection, rendering: Rendering, root: Path) -> None:
+        self.connection, self.rendering, self.folder = connection, rendering, root / UNITS
+        self._units: dict[str, Unit] = {}
+
+    @property
+    def num_at_once(self) -> int:
+        """Number of views that are rendered at the same time."""
+        return max(1, self.connection.num_threads())
+
+    def render(self, views: Sequence[TrainingView]) -> None:
+        """Render some views."""
+        payloads = [ViewPayload(self.rendering, _as_render_view(view), is_exact=True) for view in views]
+        units = {payload.view.name: unit_of_view(self.folder, payload) for payload in payloads}
+        run_units(list(units.values()), stage="test", executor=self.connection)
+        self._units |= units
+
+    def rendered(self, view: TrainingView) -> Timed:
+        """A view that was rendered, which is returned once."""
+        unit = self._units.pop(view.name)
+        found = load(unit.path, EXACT_IMAGE)
+        unit.path.unlink()
+        with suppress(OSError):  # other views follow
+            self.folder.rmdir()
+        return Timed(found["image"], float(found["seconds"]), int(found["num_evaluated"]))
+
+
+def _as_render_view(view: TrainingView) -> RenderView:
+    return RenderView(view.name, view.camera, view.cam_from_world)
+
+
 def seconds_of_view(renderer: Renderer, view: TrainingView) -> float:
     """Estimated time to render a view, from two downscaled ones, without compilation."""
     pixels = view.camera.width * view.camera.height
@@ -55,11 +124,11 @@ def seconds_of_view(renderer: Renderer, view: TrainingView) -> float:
     return small_s + pixel_s * (pixels - small_px)
 
 
-def timed(renderer: Renderer, view: TrainingView) -> tuple[np.ndarray, float, int]:
-    """The image, the time in seconds without compilation, and the number of evaluations."""
+def timed(renderer: Renderer, view: TrainingView) -> Timed:
+    """Render a view."""
     start, compiled = perf_counter(), compile_seconds()
     image, count = renderer.render_counted(view)
-    return image, max(perf_counter() - start - (compile_seconds() - compiled), 1e-9), count
+    return Timed(image, max(perf_counter() - start - (compile_seconds() - compiled), 1e-9), count)
 
 
 def rows_of_two_passes(count: int) -> list[int]:
@@ -78,6 +147,7 @@ def in_time(
     render: Callable[[TrainingView], Found],
     report: Callable[[int, int], None],
     warnings: list[str],
+    workers: Workers | None = None,
 ) -> list[tuple[TrainingView, Found]]:
     """Render the views, or an evenly spaced subset that fits in a quarter of the training time; at least one.
 
@@ -89,13 +159,16 @@ def in_time(
         render: called with each view.
         report: called with the number of views done and the number of all.
         warnings: gets a warning if not all views are rendered.
+        workers: render as many views at once as there are workers, before `render` is called with each.
     """
     budget_s = np.inf if wanted.seconds is None else RENDER_FRACTION * wanted.seconds
     found: dict[int, Found] = {}
     spent_s = 0.0
     report(0, len(views))
-    for row in rows_of_two_passes(len(views)):
-        if found and spent_s * (len(found) + 1) / len(found) > budget_s:
+    left = rows_of_two_passes(len(views))
+    while left:
+        rows = left[: 1 if workers is None else workers.num_at_once]
+        if found and spent_s * (len(found) + len(rows)) / len(found) > budget_s:
             warnings.append(
                 f"only {len(found)} of {len(views)} views were rendered and compared: a view takes about "
                 f"{spent_s / len(found):.2g} s, and rendering may take {budget_s:.3g} s, a quarter of the training time. "
@@ -104,28 +177,38 @@ def in_time(
             report(len(found), len(found))
             break
         start, compiled = perf_counter(), compile_seconds()
-        found[row] = render(views[row])
+        if workers is not None:
+            workers.render([views[row] for row in rows])
+        found |= {row: render(views[row]) for row in rows}
         spent_s += perf_counter() - start - (compile_seconds() - compiled)
+        left = left[len(rows) :]
         report(len(found), len(views))
     return [(views[row], found[row]) for row in sorted(found)]
 
 
 def compared(
-    renderer: Renderer, test: Sequence[TrainingView], wanted: FieldOptions, run: Run
+    renderer: Renderer,
+    test: Sequence[TrainingView],
+    wanted: FieldOptions,
+    run: Run,
 ) -> list[dict[str, Any]]:
-    """Render the held-out views into `test`, within the time limit, and compute their scores."""
-    files = rendered_names(test)
+    """Render the held-out views into `test`, within the time limit, and compute their scores.
+
+    If the run has a cluster, its workers render a `WrittenField`; Gaussians take milliseconds here.
+    """
+    files, workers, connection = rendered_names(test), None, run.job.executor
+    if isinstance(renderer, WrittenField) and isinstance(connection, Connection):
+        workers = Workers(connection, renderer.rendering, run.root)
     with run.stage("test"), run.folder.publish("test") as aside:
 
         def render(view: TrainingView) -> dict[str, Any]:
-            rendered, seconds, count = timed(renderer, view)
-            write_png(
-                aside / "test" / files[view.name], np.rint(255 * np.clip(rendered, 0, 1)).astype(np.uint8)
-            )
+            rendered, seconds, count = timed(renderer, view) if workers is None else workers.rendered(view)
+            write_png(aside / "test" / files[view.name], in_bytes(rendered))
             figures = {"name": view.name, **scores_of(rendered, view, renderer.background)}
             return {**figures, "render_s": seconds, "count": count}
 
-        rows = in_time(test, wanted, render, partial(run.report, "test"), run.warnings)
+        rows = in_time(test, wanted, render, partial(run.report, "test"), run.warnings, workers)
+    stored_once.cache_clear()
     return [row for _, row in rows]
 
 

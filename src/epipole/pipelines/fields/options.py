@@ -18,6 +18,8 @@ class SplatKeywords(TypedDict, total=False):
     max_side_px: int
     background: Background
     masks: str | Path | None
+    cluster: str | None
+    shared_folder: bool
     view: bool
     port: int | None
     host: str
@@ -44,6 +46,8 @@ class NerfKeywords(TypedDict, total=False):
     max_side_px: int
     background: Background
     masks: str | Path | None
+    cluster: str | None
+    shared_folder: bool
     view: bool
     port: int | None
     host: str
@@ -65,6 +69,8 @@ class RenderKeywords(TypedDict, total=False):
     background: Background
     antialiased: bool | None
     output: Literal["color", "depth", "normals", "coverage"]
+    cluster: str | None
+    shared_folder: bool
 
 
 class MeshKeywords(TypedDict, total=False):

@@ -94,6 +94,11 @@ class RayRecipe:
 
     config: NerfConfig
 
+    @property
+    def file(self) -> str:
+        """Name of the field's file."""
+        return KINDS[self.config.kind].file
+
     def prepared(self, images: FieldImages) -> FieldImages:
         """Return the images unchanged."""
         return images
@@ -107,8 +112,7 @@ class RayRecipe:
 
     def write(self, folder: Path, trainer: Trainer, images: FieldImages) -> Any:
         """Write `hash.npz` or `grid.npz`, and `cameras.json`."""
-        kind = KINDS[self.config.kind]
-        kind.write(folder / kind.file, trainer.field)
+        KINDS[self.config.kind].write(folder / self.file, trainer.field)
         write_cameras(folder / CAMERAS, images.train, georeference=images.georeference)
         return trainer.field
 

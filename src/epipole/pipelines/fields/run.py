@@ -9,12 +9,12 @@ from typing import Any, Unpack
 from epipole.errors import ConfigError
 from epipole.pipelines.fields.checkpoints import Checkpoint
 from epipole.pipelines.fields.config import NerfConfig, SplatConfig
-from epipole.pipelines.fields.held_out import compared
+from epipole.pipelines.fields.held_out import Renderer, WrittenField, compared
 from epipole.pipelines.fields.images import FieldImages
 from epipole.pipelines.fields.options import NerfKeywords, SplatKeywords
 from epipole.pipelines.fields.recipes import GaussianRecipe, RayRecipe
 from epipole.pipelines.fields.training import Training, background_of, finished, images_of, train, training_of
-from epipole.runs import ProgressCallback, ignore_progress, open_run
+from epipole.runs import PassedExecutor, ProgressCallback, ignore_progress, open_run
 from epipole.scene.gaussian_cloud import GaussianCloud
 from epipole.scene.notebook import table_html
 
@@ -53,6 +53,7 @@ def splat(
     out: str | Path,
     config: SplatConfig | None = None,
     progress: ProgressCallback = ignore_progress,
+    executor: PassedExecutor | None = None,
     **options: Unpack[SplatKeywords],
 ) -> FieldResult:
     """Train 3D Gaussians on images. Ctrl-C ends the training and keeps the result.
@@ -65,6 +66,7 @@ def splat(
         out: output folder: `splat.ply`, `test/NAME.png`, `metrics.json`, `report.html`.
         config: options; None for the defaults.
         progress: called with the progress of each stage.
+        executor: executor for images instead of the config's cluster, as for `reconstruct`.
         **options: single options by name, which override `config`: `time="1m"`.
 
     Raises:
@@ -74,7 +76,7 @@ def splat(
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
-    given = training_of("splat", (source, out), (SplatConfig, config), progress, options)
+    given = training_of("splat", (source, out), (SplatConfig, config), progress, options, executor)
     return train_field(given, GaussianRecipe(given.config))[0]
 
 
@@ -83,6 +85,7 @@ def nerf(
     out: str | Path,
     config: NerfConfig | None = None,
     progress: ProgressCallback = ignore_progress,
+    executor: PassedExecutor | None = None,
     **options: Unpack[NerfKeywords],
 ) -> FieldResult:
     """Train a neural field or an explicit grid on images around a scene. Ctrl-C ends the training and keeps the result.
@@ -94,6 +97,7 @@ def nerf(
         out: output folder: `hash.npz` or `grid.npz`, `test/NAME.png`, `metrics.json`, `report.html`.
         config: options; None for the defaults.
         progress: called with the progress of each stage.
+        executor: executor for images instead of the config's cluster, as for `reconstruct`.
         **options: single options by name, which override `config`: `time="1m"`.
 
     Raises:
@@ -103,7 +107,7 @@ def nerf(
         FileFormatError: the source cannot be read.
         WorkspaceError: the output folder cannot be used.
     """
-    given = training_of("nerf", (source, out), (NerfConfig, config), progress, options)
+    given = training_of("nerf", (source, out), (NerfConfig, config), progress, options, executor)
     return train_field(given, RayRecipe(given.config))[0]
 
 
@@ -123,10 +127,11 @@ def train_field(
             trained = train(trainer, images, given.config, run, note, checkpoint)
         with run.stage("write"), run.folder.publish("model") as aside:
             field = recipe.write(aside, trainer, images)
-        scores, facts = (
-            compared(trainer, images.test, given.config, run),
-            recipe.facts(trainer, field, images),
-        )
+        renderer: Renderer = trainer
+        if isinstance(recipe, RayRecipe):  # its tables are rounded in the file
+            renderer = WrittenField(run.root / recipe.file, float(trainer.background[0]))
+        scores = compared(renderer, images.test, given.config, run)
+        facts = recipe.facts(trainer, field, images)
         summary = finished(trainer, images, scores, trained, run, **facts)
         if not trained.is_interrupted:
             checkpoint.remove()

@@ -38,8 +38,17 @@ class Seen(NamedTuple):
         return np.where(shown, self.depth / np.maximum(self.coverage, LEAST_COVERAGE), np.nan)
 
 
-def seen_from(source: Path) -> tuple[Callable[[RenderView], Seen], np.ndarray]:
-    """Function that renders a view, and positions (n, 3) that define the extent of the scene.
+class StoredField(NamedTuple):
+    """A trained field and its file."""
+
+    kind: Kind | None
+    """None: Gaussians."""
+    content: Any
+    file: Path
+
+
+def field_at(source: Path) -> StoredField:
+    """The field in an output folder or a file.
 
     Raises:
         FileFormatError: the field cannot be read.
@@ -47,21 +56,38 @@ def seen_from(source: Path) -> tuple[Callable[[RenderView], Seen], np.ndarray]:
     found = kind_in(source)
     if found is not None:
         kind, file = found
-        field = kind.read(file)
-        return lambda render_view: _marched(kind, field, render_view), kind.positions(field)
+        return StoredField(kind, kind.read(file), file)
     file = gaussians_file(source)
-    cloud, options = (
-        read_gaussians(file),
-        RenderOptions(antialiased=recorded_antialiased(file.with_name(SUMMARY))),
-    )
-    opacity = 1.0 / (1.0 + np.exp(-cloud.opacity_logits))
-    positions = cloud.centers_in_world[opacity >= LEAST_OPACITY]
+    return StoredField(None, read_gaussians(file), file)
+
+
+def seen_from(source: Path) -> tuple[Callable[[RenderView], Seen], np.ndarray]:
+    """Function that renders a view, and positions (n, 3) that define the extent of the scene.
+
+    Raises:
+        FileFormatError: the field cannot be read.
+    """
+    field = field_at(source)
+    see = surface_of(field, antialiased=recorded_antialiased(field.file.with_name(SUMMARY)))
+    if field.kind is not None:
+        return see, field.kind.positions(field.content)
+    opacity = 1.0 / (1.0 + np.exp(-field.content.opacity_logits))
+    positions = field.content.centers_in_world[opacity >= LEAST_OPACITY]
+    return see, positions if len(positions) else field.content.centers_in_world
+
+
+def surface_of(field: StoredField, *, antialiased: bool) -> Callable[[RenderView], Seen]:
+    """Function that renders a view; `antialiased` applies to Gaussians."""
+    kind, content = field.kind, field.content
+    if kind is not None:
+        return lambda render_view: _marched(kind, content, render_view)
+    options = RenderOptions(antialiased=antialiased)
 
     def splatted(render_view: RenderView) -> Seen:
-        rendered = render(cloud, render_view.camera, render_view.cam_from_world, options)
+        rendered = render(content, render_view.camera, render_view.cam_from_world, options)
         return Seen(rendered.depth, rendered.coverage, rendered.color)
 
-    return splatted, positions if len(positions) else cloud.centers_in_world
+    return splatted
 
 
 def _marched(kind: Kind, field: Any, render_view: RenderView) -> Seen:

@@ -28,7 +28,7 @@ from epipole.pipelines.fields.surfaces import seen_from
 from epipole.pipelines.fields.watching import open_watch
 from epipole.pipelines.sfm.run import reconstruct
 from epipole.report.space_scene import SpaceScene
-from epipole.runs import Job, ProgressCallback, Run, graceful_interrupt
+from epipole.runs import Job, PassedExecutor, ProgressCallback, Run, chosen_executor, graceful_interrupt
 from epipole.runs.earlier import note_on_poorer
 from epipole.runs.model_source import is_model
 
@@ -36,8 +36,8 @@ METRICS, MODEL, REPORT = "metrics.json", "sfm", "report.html"
 C = TypeVar("C", SplatConfig, NerfConfig)
 MEANS = ("psnr", "ssim", "psnr_matched")
 CURVE_POINTS = 200
-WATCHING = ("view", "host", "port")
-"""Options of the live view, which do not affect the result."""
+WATCHING = ("view", "host", "port", "cluster", "shared_folder")
+"""Options of the live view and of the cluster, which do not affect the result."""
 PROBES = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85)
 """Fractions of the training at which some held-out views are rendered and compared; their time is not counted."""
 PROBE_FRACTION = 0.1
@@ -62,6 +62,7 @@ def training_of(
     config: tuple[type[C], C | None],
     progress: ProgressCallback,
     options: Mapping[str, Any],
+    executor: PassedExecutor | None = None,
 ) -> Training[C]:
     """Put together the arguments of a job.
 
@@ -71,17 +72,25 @@ def training_of(
         config: class of the options, and the options given.
         progress: called with the progress of each stage.
         options: single options by name.
+        executor: executor for images, instead of the config's cluster.
 
     Raises:
         ConfigError: an option is unknown or invalid.
         FileFormatError: the source does not exist.
     """
-    found = options_of(*config, options, ["config", "progress"])
+    found = options_of(*config, options, ["config", "progress", "executor"])
     source, out = (as_path(path) for path in paths)
     if not source.exists():
         raise FileFormatError(source, missing_in_words(source))
     settings = {name: value for name, value in asdict(found).items() if name not in WATCHING}
-    job = Job(kind=kind, inputs=(source,), settings=settings, progress=progress, has_log=True)
+    job = Job(
+        kind=kind,
+        inputs=(source,),
+        settings=settings,
+        progress=progress,
+        executor=chosen_executor(executor, found.cluster, has_shared_folder=found.shared_folder),
+        has_log=True,
+    )
     return Training(source, out, found, settings, job)
 
 
@@ -105,7 +114,9 @@ def images_of(source: Path, run: Run, wanted: FieldOptions) -> FieldImages:
         losses = losses_in(source)
     else:
         model = run.root / MODEL
-        found = reconstruct(source, model, progress=run.job.progress, masks=wanted.masks)
+        found = reconstruct(
+            source, model, progress=run.job.progress, executor=run.job.executor, masks=wanted.masks
+        )
         losses = losses_of(found.summary, model)
         photographs = source if source.is_dir() else model / "images"
     images = gather_field_images(model, wanted, photographs, run.job.progress)

@@ -21,6 +21,22 @@ class StereoConfig(DisparityConfig):
     """Also write filled.pfm, with interpolated unknown pixels, and filled_mask.png, which marks them."""
     max_frames: int = 20
     """Largest number of pairs taken from stereo video."""
+    cluster: str | None = None
+    """Measure the pairs of folders or videos on a Dask cluster: tcp://HOST:PORT, tls://HOST:PORT, local:N or slurm:N."""
+    shared_folder: bool = True
+    """All machines of the cluster see images and output folder under the same paths; otherwise files are sent."""
+
+    def __post_init__(self) -> None:
+        """Check the options.
+
+        Raises:
+            ConfigError: an option is out of range.
+        """
+        super().__post_init__()
+        if self.cluster is not None:
+            from epipole.runs import Cluster  # not needed for --help
+
+            Cluster(self.cluster)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,3 +28,5 @@ class StereoKeywords(TypedDict, total=False):
     uncalibrated: bool
     fill: bool
     max_frames: int
+    cluster: str | None
+    shared_folder: bool

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from epipole.io.images.video import is_video
 from epipole.io.names import flat_names
 from epipole.io.sequences.stereo_folders import pair_folders
 from epipole.io.sequences.stereo_video import extract_pairs
-from epipole.pipelines.stereo.pair import StereoResult
 from epipole.runs import Progress, ProgressCallback, ignore_progress, is_finished
 
 
@@ -69,20 +68,27 @@ def list_pairs(
     return _by_folder([pair for _, pair in found], [name for name, _ in found])
 
 
+def is_measured(
+    folder: Path, pair: tuple[Path, Path], settings: Callable[[Path, Path], dict[str, Any]]
+) -> bool:
+    """Whether a pair was measured into this folder by an earlier run, with the same files and settings."""
+    return all(image.is_file() for image in pair) and is_finished(folder, settings(*pair))
+
+
 def run_batch(
-    pairs: dict[str, tuple[Path, Path]],
+    pairs: Mapping[str, tuple[Path, Path]],
+    waiting: Collection[str],
     out: Path,
-    settings: Callable[[Path, Path], dict[str, Any]],
-    measure: Callable[[Path, Path, Path], StereoResult],
+    measure: Callable[[Path, Path, Path], dict[str, Any]],
     progress: ProgressCallback = ignore_progress,
 ) -> StereoBatch:
     """Measure each pair into a folder of its name; a pair that fails does not stop the others.
 
     Args:
         pairs: from `list_pairs`.
+        waiting: names of those to measure; the others were measured earlier.
         out: parent folder of the results.
-        settings: settings for two images; a pair that was measured with the same settings is skipped.
-        measure: called with (left, right, folder).
+        measure: called with (left, right, folder); returns the pair's summary.
         progress: called after each pair.
     """
     done, earlier = [], []
@@ -90,16 +96,15 @@ def run_batch(
     warnings: dict[str, tuple[str, ...]] = {}
     known: dict[str, float] = {}
     for number, (name, (left, right)) in enumerate(pairs.items(), 1):
-        folder = out / name
-        if left.is_file() and right.is_file() and is_finished(folder, settings(left, right)):
+        if name not in waiting:
             earlier.append(name)
         else:
             try:
-                found = measure(left, right, folder)
+                summary = measure(left, right, out / name)
                 done.append(name)
-                known[name] = found.disparities.density
-                if found.warnings:
-                    warnings[name] = found.warnings
+                known[name] = summary["density"]
+                if summary["warnings"]:
+                    warnings[name] = tuple(summary["warnings"])
             except EpipoleError as error:
                 problems[name] = str(error)
         progress(Progress("pairs", number, len(pairs)))

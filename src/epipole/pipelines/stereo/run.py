@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -16,24 +19,38 @@ from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError
 from epipole.io.colmap.model import find_model, read_colmap_model
 from epipole.io.images.photographs import list_photographs
 from epipole.io.models.images import ModelImages
+from epipole.io.names import path_inside
 from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.doctor import Diagnosis, examine
-from epipole.pipelines.stereo.files import write_stereo
+from epipole.pipelines.stereo.measured_pair import measured, summary_of_pair, write_pair
 from epipole.pipelines.stereo.options import StereoKeywords
-from epipole.pipelines.stereo.page import render_page
-from epipole.pipelines.stereo.pair import StereoResult, measure_pair
+from epipole.pipelines.stereo.pair import StereoResult
 from epipole.pipelines.stereo.pair_files import PairFiles, files_of_pair
+from epipole.pipelines.stereo.pair_units import UNITS, PairPayload, results_of_unit, unit_of_pair
 from epipole.pipelines.stereo.pairs import (
     StereoBatch,
     is_many,
+    is_measured,
     list_pairs,
     read_summary,
     run_batch,
     summary_of,
 )
-from epipole.runs import Job, ProgressCallback, has_own_model, ignore_progress, open_run
+from epipole.runs import (
+    Job,
+    ProgressCallback,
+    Run,
+    Unit,
+    chosen_executor,
+    has_own_model,
+    ignore_progress,
+    open_run,
+)
 from epipole.runs.folder import refuse_folder_of
 from epipole.scene import RectifiedRig, StereoRig
+
+WHERE = ("cluster", "shared_folder")
+"""Options of where pairs are measured, which do not affect them."""
 
 
 @checked
@@ -64,28 +81,25 @@ def stereo(
         WorkspaceError: the output folder cannot be used.
     """
     config = options_of(StereoConfig, config, options, ["config", "rig"])
+    _refuse_cluster(config)
     left, right = as_path(left), as_path(right)
     settings = _settings(config, rig, left, right)
     return _measured(files_of_pair(left, right, rig), as_path(out), config, settings)
 
 
+def _refuse_cluster(config: StereoConfig) -> None:
+    """Raise an error if a cluster is given for a single pair."""
+    if config.cluster is not None:
+        raise ConfigError("a cluster measures the pairs of two folders or videos, but this is a single pair")
+
+
 def _measured(files: PairFiles, out: Path, config: StereoConfig, settings: dict[str, Any]) -> StereoResult:
     job = Job(kind="stereo", inputs=(files.left, files.right), settings=settings)
     with open_run(job, out) as run:
-        measured = measure_pair(*files.read(), config, files.rig)
-        result = replace(measured, warnings=(*files.notes, *measured.warnings))
+        result = measured(files, config)
         with run.folder.publish("stereo") as aside:
-            write_stereo(result, aside)
-            (aside / "report.html").write_text(render_page(result), encoding="utf-8")
-        known = result.disparities.sigma_px[np.isfinite(result.disparities.sigma_px)]
-        run.finish(
-            {
-                "density": result.disparities.density,
-                "median_sigma_px": float(np.median(known)) if known.size else None,
-                "error_model": result.error_model,
-                "warnings": list(result.warnings),
-            }
-        )
+            write_pair(result, aside)
+        run.finish(summary_of_pair(result))
         return replace(result, out=run.root)
 
 
@@ -104,28 +118,92 @@ def stereo_many(
     Pass a video with both images side by side twice. A pair that fails is reported with its reason and does not stop the others;
     a stopped run can be continued.
 
+    Args:
+        left: folder of left images, or a video.
+        right: folder of right images, or a video.
+        out: output folder, with a folder for each pair.
+        config: options; None for the defaults.
+        rig: as for `stereo`.
+        progress: called with the progress.
+        **options: single options of the config by name, which override it.
+
     Raises:
         FileFormatError: there are no pairs.
         WorkspaceError: the output folder cannot be used.
     """
     config = options_of(StereoConfig, config, options, ["config", "rig", "progress"])
     left, right = as_path(left), as_path(right)
-    job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig), progress=progress)
+    work = chosen_executor(None, config.cluster, has_shared_folder=config.shared_folder, default="inline")
+    config = replace(config, cluster=None)  # for pairs that are measured here
+    job = Job(
+        kind="stereo", inputs=(left, right), settings=_settings(config, rig), progress=progress, executor=work
+    )
     with open_run(job, as_path(out)) as run:
         pairs = list_pairs(left, right, run.root, config.max_frames, progress)
+        settings = partial(_settings, config, rig)
+        waiting = {n: pair for n, pair in pairs.items() if not is_measured(run.root / n, pair, settings)}
+        units = {} if work == "inline" else _measured_elsewhere(run, waiting, config, rig)
         batch = run_batch(
             pairs,
+            waiting,
             run.root,
-            lambda one, two: _settings(config, rig, one, two),
-            lambda one, two, folder: stereo(one, two, folder, config, rig),
-            progress,
+            partial(_measure_into, units, config, rig),
+            ignore_progress if units else progress,
         )
+        for unit in units.values():
+            unit.path.unlink(missing_ok=True)
+        with suppress(OSError):  # it may hold files of the user
+            (run.root / UNITS).rmdir()
         for folder in dict.fromkeys((left, right)):
             if folder.is_dir() and (notes := list_photographs(folder, ignore=[run.root]).notes):
                 batch.warnings[str(folder)] = tuple(notes)
         summary = summary_of(batch, pairs, read_summary(run.root))
         run.finish(summary)
         return replace(batch, warnings=summary["warnings"])
+
+
+def _measured_elsewhere(
+    run: Run,
+    pairs: Mapping[str, tuple[Path, Path]],
+    config: StereoConfig,
+    rig: RectifiedRig | StereoRig | None,
+) -> dict[Path, Unit]:
+    """Measure pairs with the run's executor; returns their units by the folder of the pair."""
+    units = {
+        run.root / name: unit_of_pair(
+            run.root, PairPayload(*pair, config, rig), _settings(config, rig, *pair)
+        )
+        for name, pair in pairs.items()
+        if all(image.is_file() for image in pair)
+    }
+    run.do(list(units.values()), "pairs")
+    return units
+
+
+def _measure_into(
+    units: Mapping[Path, Unit],
+    config: StereoConfig,
+    rig: RectifiedRig | StereoRig | None,
+    left: Path,
+    right: Path,
+    folder: Path,
+) -> dict[str, Any]:
+    """Write the results of a pair's unit to the pair's folder, or measure the pair here; returns its summary."""
+    if (unit := units.get(folder)) is None:
+        return summary_of_pair(stereo(left, right, folder, config, rig))
+    files, summary = results_of_unit(unit)
+    if not files:  # it fails here too, with a reason that names the files of this machine
+        return summary_of_pair(stereo(left, right, folder, config, rig))
+    job = Job(kind="stereo", inputs=(left, right), settings=_settings(config, rig, left, right))
+    with open_run(job, folder) as run:
+        with run.folder.publish("stereo") as aside:
+            for name, content in files.items():
+                path = path_inside(aside, name)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_bytes(content)
+        run.finish(summary)
+    unit.path.unlink()  # so the disk holds only one pair twice
+    return summary
 
 
 @checked
@@ -154,6 +232,7 @@ def stereo_of_model(
         WorkspaceError: the output folder cannot be used.
     """
     config, workspace = options_of(StereoConfig, config, options, ["config"]), as_path(workspace)
+    _refuse_cluster(config)
     refuse_folder_of(as_path(out), (workspace,))
     model = read_colmap_model(find_model(workspace))
     rows = {name: k for k, name in enumerate(model.images.name)}
@@ -225,4 +304,5 @@ def _settings(config: StereoConfig, rig: RectifiedRig | StereoRig | None, *image
             "covariance": None if rig.covariance is None else rig.covariance.tolist(),
         }
     files = [[str(p), p.stat().st_size, p.stat().st_mtime_ns] for p in images if p.is_file()]
-    return {"config": asdict(config), "rig": described, "images": files}
+    wanted = {name: value for name, value in asdict(config).items() if name not in WHERE}
+    return {"config": wanted, "rig": described, "images": files}
