@@ -2,7 +2,7 @@
 
 True neighbors of an image are those with at least `LEAST_INLIERS` verified matches: in the kitchen among all others, in the rendered street
 of 1,000 images among the 50 nearest by GPS, as nothing else can show the same. Retrieval sees no GPS. Its recall is the part of the true
-neighbors that is among the most similar images; of an image with more true neighbors than candidates, as many as there are candidates count.
+neighbors that is among the most similar images; at most the number of candidates counts for an image.
 Then the times for 10,000 images, with random vectors of the same size.
 """
 

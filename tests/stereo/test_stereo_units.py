@@ -59,9 +59,7 @@ def threads(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_threads_write_the_same_files(folders: Path, whole: dict[str, bytes]) -> None:
     seen = []
     out = folders / "threads"
-    batch = stereo_many(
-        folders / "left", folders / "right", out, CONFIG, RIG, seen.append, executor="threads"
-    )
+    batch = stereo_many(folders / "left", folders / "right", out, CONFIG, RIG, seen.append)
     assert batch.done == ("a", "sub/c") and str(folders / "right" / "b.png") in batch.problems["b"]
     assert contents(out) == whole and not (out / "units").exists()
     assert [(one.done, one.total) for one in seen if one.stage == "pairs"] == [(0, 3), (1, 3), (2, 3), (3, 3)]

@@ -46,10 +46,19 @@ class PositionPriors(Declared):
     positions_in_world: Float64[np.ndarray, "n 3"]
     sigma: Float64[np.ndarray, "n 3"]
     """Standard deviation of each coordinate."""
+    down_in_cams: Float64[np.ndarray, "n 3"] | None = None
+    """Unit vectors that point down, in camera coordinates; NaN rows if unknown. Positions on a line do not determine the rotation about it,
+    and steps of an adjustment along an undetermined direction are too large and rejected, most of them."""
+    down_sigma_rad: float = 0.02
 
     def of_bundle(self) -> BundlePriors:
-        """The term of an adjustment: Cauchy's loss of the distances."""
-        return BundlePriors(position_in_world=self.positions_in_world, position_sigma=self.sigma)
+        """The terms of an adjustment: Cauchy's loss of the distances, and the squared errors of the directions."""
+        return BundlePriors(
+            position_in_world=self.positions_in_world,
+            position_sigma=self.sigma,
+            down_in_rig=self.down_in_cams,
+            down_sigma_rad=self.down_sigma_rad,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,7 +24,7 @@ from epipole.pipelines.sfm.mappers.growth import grow_from, keep_coordinates
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Rejection
 from epipole.pipelines.sfm.orientation import upright_from_world
 from epipole.pipelines.sfm.photographs import ImageSet
-from epipole.pipelines.sfm.up_direction import up_directions
+from epipole.pipelines.sfm.up_direction import LEVEL_SIGMA_RAD, up_directions
 from epipole.robust import PairKind
 from epipole.runs import Progress, ProgressCallback
 from epipole.scale import MetricScale
@@ -237,9 +237,17 @@ def _publish(
     has_no_altitude = np.isfinite(expected[:, 0]) & ~np.isfinite(expected[:, 2])
     expected[has_no_altitude, 2] = model.center[has_no_altitude, 2]
     sigma[has_no_altitude, 2] = UNKNOWN_ALTITUDE_SIGMA_M
-    mapper.priors = PositionPriors(expected, sigma)
+    mapper.priors = PositionPriors(expected, sigma, _down_in_one(model), float(LEVEL_SIGMA_RAD))
     _adjust_again(mapper, adjusting)
     return replace(aligned, residuals_m=gps_distances(model.center, positions_enu))
+
+
+def _down_in_one(model: ModelBuilder) -> np.ndarray:
+    """Directions (n, 3) that point down in camera coordinates, NaN but for the middle one of the registered images."""
+    registered, out = np.flatnonzero(model.registered), np.full((len(model.registered), 3), np.nan)
+    middle = int(registered[len(registered) // 2])
+    out[middle] = model.motion[middle, :9].reshape(3, 3) @ (0.0, 0.0, -1.0)
+    return out
 
 
 def _adjust_again(mapper: IncrementalMapper, adjusting: Callable[[int, int], None]) -> None:
