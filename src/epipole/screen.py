@@ -40,6 +40,8 @@ COMPILE_NOTE = (
 )
 COMPILING = "compile"
 """The stage that compiles kernels; it has no steps to count."""
+CONNECTING = "connect"
+"""The stage that connects to a cluster; its total is the number of threads."""
 LINE_EVERY_S = 10.0
 """Without a terminal, a stage prints at most one line in this time (seconds) between its start and its end."""
 SHORT_S = 1.0
@@ -108,7 +110,8 @@ def progress_on_screen(
     from epipole import _jit
 
     console, start = open_console(stderr=True, quiet=_LOUDNESS.get() == "quiet"), _jit.compile_seconds()
-    with _bars(console, words or {}) if _is_interactive(console) else _lines(console, words or {}) as show:
+    labels = {CONNECTING: "Threads of the cluster", **(words or {})}
+    with _bars(console, labels) if _is_interactive(console) else _lines(console, labels) as show:
         will_compile = compiles_much and not _jit.is_compiled()
 
         def announce_and_show(report: Progress) -> None:
@@ -225,6 +228,8 @@ class _Lines:
             )
             if report.stage == COMPILING and not stage.is_over:
                 started = "started; this happens once on this machine"
+            if report.stage == CONNECTING:
+                started = str(report.total)
             self._say(stage, f"{started}; {report.note}" if report.note else started)
         else:
             stage = self._stages[report.stage]

@@ -98,7 +98,9 @@ def test_a_cluster_writes_the_same_files(
     given = ["stereo", str(folders / "left"), str(folders / "right"), str(out), "--max-disparity-px", "40"]
     main([*given, *RIG_OPTIONS, "--cluster", "local:2", "--no-shared-folder"])
     assert contents(out) == whole
-    assert str(folders / "right" / "b.png") in " ".join(capsys.readouterr().out.split())
+    printed = capsys.readouterr()
+    assert str(folders / "right" / "b.png") in " ".join(printed.out.split())
+    assert "Threads of the cluster: 2; dashboard: http://127.0.0.1" in printed.err
 
 
 def test_a_cluster_is_for_many_pairs(folders: Path, capsys: pytest.CaptureFixture[str]) -> None:
