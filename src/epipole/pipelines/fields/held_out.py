@@ -23,8 +23,8 @@ from epipole.pipelines.fields.rendering.written_field import (
     FieldFile,
     Rendering,
     in_bytes,
+    opened_field,
     renderer_of,
-    stored_once,
 )
 from epipole.pipelines.fields.scores import scores_of
 from epipole.runs import Connection, Run, Unit, load, run_units
@@ -208,7 +208,7 @@ def compared(
             return {**figures, "render_s": seconds, "count": count}
 
         rows = in_time(test, wanted, render, partial(run.report, "test"), run.warnings, workers)
-    stored_once.cache_clear()
+    opened_field.cache_clear()
     return [row for _, row in rows]
 
 

@@ -33,8 +33,8 @@ from epipole.pipelines.fields.rendering.written_field import (
     FieldFile,
     Rendering,
     in_bytes,
+    opened_field,
     renderer_of,
-    stored_once,
 )
 from epipole.pipelines.fields.scene import (
     BACKGROUNDS,
@@ -135,7 +135,7 @@ def render(
                 for view, image in images:
                     write_png(aside / f"{view.name}.png", image)
             run.finish()
-    stored_once.cache_clear()
+    opened_field.cache_clear()
     return RenderResult(out, len(views), len(views) / max(frames.spent_s, 1e-9))
 
 
@@ -201,7 +201,7 @@ def _rendering_and_views(source: Path, wanted: RenderConfig) -> tuple[Rendering,
     if antialiased is None:
         antialiased = recorded_antialiased((source if source.is_dir() else source.parent) / SUMMARY)
     rendering = Rendering(FieldFile.now(stored), wanted.output, _background(source, wanted), antialiased)
-    field = stored_once(rendering.field)
+    field = opened_field(rendering.field)
     if field.kind is None and not len(field.content):
         raise FileFormatError(file, "has no Gaussians")
     views = (

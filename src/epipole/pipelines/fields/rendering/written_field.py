@@ -57,7 +57,7 @@ def in_bytes(rgb: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=1)
-def stored_once(file: FieldFile) -> StoredField:
+def opened_field(file: FieldFile) -> StoredField:
     """The field of a file, which is read once for all views.
 
     Raises:
@@ -72,7 +72,7 @@ def renderer_of(rendering: Rendering) -> Callable[[RenderView], tuple[np.ndarray
     Raises:
         FileFormatError: the field cannot be read.
     """
-    field = stored_once(rendering.field)
+    field = opened_field(rendering.field)
     if rendering.output != "color":
         render = _surface_renderer(field, rendering)
         return lambda view: (render(view), 0)
