@@ -86,8 +86,7 @@ def measure(name: str, out: Path, data: Path | None) -> dict[str, Any]:
         np.zeros((0, 128), np.uint8) if each is None else each for each in stored.descriptors or ()
     ]
     start = perf_counter()
-    vectors = describe_images(descriptors, train_vocabulary(descriptors))
-    ranked = most_similar(vectors, max(CANDIDATES), averaged=True)
+    ranked = most_similar(describe_images(descriptors, train_vocabulary(descriptors)), max(CANDIDATES))
     seconds = perf_counter() - start
     neighbors = neighbors_in(database, len(descriptors))
     return {
@@ -124,7 +123,7 @@ def time_of_many(count: int, width: int) -> dict[str, float]:
     vectors = np.random.default_rng(0).standard_normal((count, width), np.float32)
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
     start = perf_counter()
-    most_similar(vectors, max(CANDIDATES), averaged=True)
+    most_similar(vectors, max(CANDIDATES))
     return {"images": count, "seconds": perf_counter() - start}
 
 

@@ -177,21 +177,6 @@ def test_many_images_are_compared_by_principal_components(rng):
     assert recall > 0.95
 
 
-@pytest.mark.parametrize("n", [300, 1100])
-def test_averages_find_images_that_have_only_neighbors_in_common(n, rng):
-    parts = rng.normal(size=(n + 5, 600))  # each image sees six parts of a street, and much else
-    vectors = np.stack([parts[k : k + 6].sum(axis=0) for k in range(n)]) + 1.5 * rng.normal(size=(n, 600))
-    vectors = (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
-    vectors[7] = 0.0  # a blank image
-
-    def recall(averaged):
-        found = most_similar(vectors, 16, averaged=averaged)
-        near = np.abs(found - np.arange(n)[:, None]) <= 8
-        return np.delete(near, 7, axis=0)[8:-8].mean()
-
-    assert recall(averaged=False) < 0.7 and recall(averaged=True) > 0.9
-
-
 def test_equal_images_have_no_principal_components():
     vectors = np.tile(np.ones((1, 8), np.float32) / np.sqrt(8), (1100, 1))
     assert most_similar(vectors, 3).shape == (1100, 3)

@@ -16,8 +16,6 @@ _BLOCK_ROWS = 128
 """Images compared with all others at a time, so that memory grows linearly with their number."""
 _COMPONENTS, _COMPONENT_SAMPLE = 512, 1024
 """Principal components that more images than the sample are compared by, and images that these are computed from."""
-_AVERAGED = 10
-"""Nearest vectors that a vector is averaged with; of fewer than 100 images a tenth."""
 
 
 @checked
@@ -84,57 +82,30 @@ def describe_images(
 
 
 @checked
-def most_similar(
-    vectors: Float32[np.ndarray, "n v"], count: int, *, averaged: bool = False
-) -> Int32[np.ndarray, "n c"]:
+def most_similar(vectors: Float32[np.ndarray, "n v"], count: int) -> Int32[np.ndarray, "n c"]:
     """For each image, the `count` other images with the largest cosine, best first.
-
-    With `averaged`, each vector is first averaged with its nearest ones, weighted by their cosines. Then images are similar that have near
-    images in common, too (Turcot and Lowe, ICCV workshops 2009; Arandjelovic and Zisserman, CVPR 2012): a street from nearer or farther away.
 
     More than 1,024 images are compared by 512 principal components of their centered vectors (Jegou and Chum, ECCV 2012, without whitening),
     with work of n v 512 + n^2 512 instead of n^2 v.
     """
     n = len(vectors)
+    kept = max(0, min(count, n - 1))
+    out = np.empty((n, kept), np.int32)
     with _parallel.single_threaded_blas():
         compared = _principal_components(vectors) if n > _COMPONENT_SAMPLE else vectors
-        if averaged and (num_averaged := min(_AVERAGED, n // _AVERAGED)):
-            nearest, cosines = _nearest(compared, num_averaged)
-            compared = _averaged(compared, nearest, np.maximum(cosines, 0.0))
-        return _nearest(compared, max(0, min(count, n - 1)))[0]
 
+        def compare(block: int) -> None:
+            rows = np.arange(block * _BLOCK_ROWS, min((block + 1) * _BLOCK_ROWS, n))
+            similarity = compared[rows] @ compared.T
+            similarity[np.arange(len(rows)), rows] = -np.inf
+            np.negative(similarity, out=similarity)
+            best = np.argpartition(similarity, kept - 1, axis=1)[:, :kept]
+            best.sort(axis=1)
+            order = np.argsort(np.take_along_axis(similarity, best, axis=1), axis=1, kind="stable")
+            out[rows] = np.take_along_axis(best, order, axis=1)
 
-def _nearest(vectors: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """(n, count) nearest other vectors of each, best first, and their cosines."""
-    n = len(vectors)
-    out, cosines = np.empty((n, count), np.int32), np.empty((n, count), np.float32)
-
-    def compare(block: int) -> None:
-        rows = np.arange(block * _BLOCK_ROWS, min((block + 1) * _BLOCK_ROWS, n))
-        similarity = vectors[rows] @ vectors.T
-        similarity[np.arange(len(rows)), rows] = -np.inf
-        np.negative(similarity, out=similarity)
-        best = np.argpartition(similarity, count - 1, axis=1)[:, :count]
-        best.sort(axis=1)
-        order = np.argsort(np.take_along_axis(similarity, best, axis=1), axis=1, kind="stable")
-        out[rows] = np.take_along_axis(best, order, axis=1)
-        cosines[rows] = -np.take_along_axis(similarity, out[rows], axis=1)
-
-    if count:
-        _parallel.map_items(compare, -(-n // _BLOCK_ROWS))
-    return out, cosines
-
-
-def _averaged(vectors: np.ndarray, nearest: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Unit vectors along the sums of each vector and its nearest ones."""
-    out = np.empty_like(vectors)
-
-    def average(start: int, stop: int, _: int) -> None:
-        for i in range(start, stop):
-            total = vectors[i] + weights[i] @ vectors[nearest[i]]
-            out[i] = total / max(float(np.linalg.norm(total)), 1e-12)
-
-    _parallel.map_chunks(average, len(vectors))
+        if kept:
+            _parallel.map_items(compare, -(-n // _BLOCK_ROWS))
     return out
 
 

@@ -172,7 +172,7 @@ def further_pairs(
     if not further and len(databases) < 2:
         return sorted_pairs(pairs)
     vectors = describe_images(descriptors, train_vocabulary(descriptors))
-    nearest = most_similar(vectors, neighbors, averaged=True)
+    nearest = most_similar(vectors, neighbors)
     pairs += [(i, int(j)) for i in further for j in nearest[i]]
     return sorted_pairs([*pairs, *_pairs_between(vectors, is_in, neighbors)])
 
@@ -236,7 +236,7 @@ def method_of(
 def _similar_images(descriptors: Sequence[np.ndarray], count: int) -> dict[int, list[int]]:
     """The most similar images of each one."""
     words = train_vocabulary(descriptors)
-    nearest = most_similar(describe_images(descriptors, words), count, averaged=True)
+    nearest = most_similar(describe_images(descriptors, words), count)
     return {i: [int(j) for j in row] for i, row in enumerate(nearest)}
 
 
