@@ -35,7 +35,7 @@ RIG_OPTIONS = ["--focal-px", "100", "--baseline", "0.1", "--principal-point", "6
 
 
 def contents(out: Path) -> dict[str, bytes]:
-    """All files but those that are alone in knowing when they were written."""
+    """All files but hidden ones, such as locks."""
     paths = [path for path in out.rglob("*") if path.is_file() and path.name[0] != "."]
     return {str(path.relative_to(out)): path.read_bytes() for path in paths}
 

@@ -47,8 +47,8 @@ class PositionPriors(Declared):
     sigma: Float64[np.ndarray, "n 3"]
     """Standard deviation of each coordinate."""
     down_in_cams: Float64[np.ndarray, "n 3"] | None = None
-    """Unit vectors that point down, in camera coordinates; NaN rows if unknown. Positions on a line do not determine the rotation about it,
-    and steps of an adjustment along an undetermined direction are too large and rejected, most of them."""
+    """Unit vectors that point down, in camera coordinates; NaN rows if unknown. Needed if the positions lie on a line:
+    they do not determine the rotation about it, along which steps are then too large, and most are rejected."""
     down_sigma_rad: float = 0.02
 
     def of_bundle(self) -> BundlePriors:

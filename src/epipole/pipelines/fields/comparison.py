@@ -25,7 +25,7 @@ from epipole.pipelines.fields.kinds import KINDS, Kind
 from epipole.pipelines.fields.options import NerfKeywords
 from epipole.pipelines.fields.page import rendered_names
 from epipole.pipelines.fields.recipes import GaussianRecipe, RayRecipe
-from epipole.pipelines.fields.rendering.written_field import in_bytes
+from epipole.pipelines.fields.rendering.renderer import in_bytes
 from epipole.pipelines.fields.run import FieldResult, train_field
 from epipole.pipelines.fields.scores import scores_of
 from epipole.pipelines.fields.training import MEANS, METRICS, background_of, training_of

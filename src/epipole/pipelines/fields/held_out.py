@@ -19,7 +19,7 @@ from epipole.pipelines.fields.cameras import RenderView
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.page import rendered_names
 from epipole.pipelines.fields.rendering.image_units import EXACT_IMAGE, UNITS, ViewPayload, unit_of_view
-from epipole.pipelines.fields.rendering.written_field import (
+from epipole.pipelines.fields.rendering.renderer import (
     FieldFile,
     Rendering,
     in_bytes,

@@ -11,7 +11,7 @@ import numpy as np
 from epipole._checks.tables import Arrays, Expected, Table
 from epipole._jit import compile_seconds
 from epipole.pipelines.fields.cameras import RenderView
-from epipole.pipelines.fields.rendering.written_field import Rendering, in_bytes, renderer_of
+from epipole.pipelines.fields.rendering.renderer import Rendering, in_bytes, renderer_of
 from epipole.runs import Unit, digest
 
 UNITS = "units"

@@ -29,7 +29,7 @@ from epipole.pipelines.fields.kinds import kind_in
 from epipole.pipelines.fields.options import RenderKeywords
 from epipole.pipelines.fields.rendering.camera_path import path_along
 from epipole.pipelines.fields.rendering.image_units import IMAGE, UNITS, ViewPayload, unit_of_view
-from epipole.pipelines.fields.rendering.written_field import (
+from epipole.pipelines.fields.rendering.renderer import (
     FieldFile,
     Rendering,
     in_bytes,
