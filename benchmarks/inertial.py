@@ -89,9 +89,13 @@ def _calibration_table(rows: list[dict[str, Any]]) -> Table:
         *("gyroscope's bias within 2 sigma", "accelerometer's"),
     )
     for row in rows:
-        degrees = [f"{row[key]:.2f} deg" for key in ("gravity_deg_median", "gravity_deg_largest")]
+        degrees = [
+            "-" if row[key] is None else f"{row[key]:.2f} deg"
+            for key in ("gravity_deg_median", "gravity_deg_largest")
+        ]
         keys = "gravity_within_0.3_deg", "gyro_bias_within_2_sigma", "accel_bias_within_2_sigma"
-        table.add_row(row["name"], str(row["seeds"]), *degrees, *(f"{100 * row[key]:.0f} %" for key in keys))
+        fractions = ("-" if row[key] is None else f"{100 * row[key]:.0f} %" for key in keys)
+        table.add_row(row["name"], str(row["seeds"]), *degrees, *fractions)
     return table
 
 
@@ -171,11 +175,12 @@ def tracked(count: int, sensor: str) -> tuple[list[Trial], dict[str, Any]]:
         "error_mm_alone": errors[0],
         "error_mm_median": float(np.median(errors[1:])),
         "gravity_found": len(gravity_deg),
-        "gravity_deg_median": float(np.median(gravity_deg)),
-        "gravity_deg_largest": float(np.max(gravity_deg)),
-        "gravity_within_0.3_deg": float((np.array(gravity_deg) <= 0.3).mean()),
-        "gyro_bias_within_2_sigma": float(within[:, :3].mean()),
-        "accel_bias_within_2_sigma": float(within[:, 3:].mean()),
+        "gravity_deg_median": float(np.median(gravity_deg)) if gravity_deg else None,
+        "gravity_deg_largest": float(np.max(gravity_deg)) if gravity_deg else None,
+        "gravity_within_0.3_deg": float((np.array(gravity_deg) <= 0.3).mean()) if gravity_deg else None,
+        "biases_determined": len(within),
+        "gyro_bias_within_2_sigma": float(within[:, :3].mean()) if len(within) else None,
+        "accel_bias_within_2_sigma": float(within[:, 3:].mean()) if len(within) else None,
     }
 
 
