@@ -472,9 +472,7 @@ def _dead_reckoning(
 ) -> Iterator[Row]:
     yield _row(inertial.ImuBuffer, log=log)
     values = {"scale": 1.0, "gravity_in_world": np.array([0.0, 0.0, -9.81]), "gyro_bias": np.zeros(3)}
-    yield _row(
-        inertial.ImuCalibration, **values, accel_bias=np.zeros(3), covariance=np.eye(9), is_metric=True
-    )
+    yield _row(inertial.ImuCalibration, **values, accel_bias=np.zeros(3), covariance=np.eye(10))
     known = {"timestamp_s": instants[:4], "world_from_camera": path[:4], "covariance": 1e-6 * np.eye(6)}
     yield _row(inertial.fit_imu_motion, **known, imu=unit, calibration=calibration)
     motion = inertial.fit_imu_motion(**known, imu=unit, calibration=calibration)

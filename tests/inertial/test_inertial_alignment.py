@@ -38,17 +38,35 @@ def test_constant_velocity_names_no_meter(seed):
 
 
 @in_whole_run
-def test_biases_are_within_their_deviations_although_the_gain_is_unknown():
-    """A gain error of 1 % adds 0.1 m / s^2 along gravity to the accelerometer's bias, ten times its deviation without it."""
-    over_sigma = []
+def test_scale_and_biases_are_within_their_deviations_although_the_gain_is_unknown():
+    """A gain error of 1 % changes the accelerometer's reading by 0.1 m / s^2 along gravity, as much as the biases do."""
+    over_sigma, of_scale = [], []
     for seed in range(12):
         motion = inertial_path(seed, 8.0)
         found = align_path_to_imu(motion.timestamp_s, motion.world_from_camera, motion.imu())
         off = found.accel_bias - motion.accel_bias
-        over_sigma.append(np.abs(off) / np.sqrt(np.diag(found.accel_bias_covariance)))
+        over_sigma.append(np.abs(off) / np.sqrt(np.diag(found.calibration.covariance)[3:6]))
+        of_scale.append((found.scale - motion.scale) / found.sigma)
     assert (np.array(over_sigma) <= 2.0).mean() > 0.85
-    alone = np.sqrt(np.diag(found.calibration.covariance)[3:6])
-    assert np.sqrt(np.diag(found.accel_bias_covariance)).max() > 3 * alone.max()
+    assert np.sqrt(np.mean(np.square(of_scale))) < 1.5
+
+
+@pytest.mark.parametrize("is_metric", [False, True])
+def test_a_gain_error_does_not_tilt_gravity(is_metric):
+    """An accelerometer that reads 4 % too much: rotations tell its gain along gravity from its biases."""
+    path = inertial_path(1)
+    log = replace(path.log, accel_m_s2=1.04 * path.log.accel_m_s2)
+    unsure = replace(path.imu(), log=log, noise=replace(path.imu().noise, accel_gain_sigma=0.04))
+    poses = path.world_from_camera
+    if is_metric:
+        poses = Rigid3(poses.rotation, path.scale * poses.translation)
+    found = align_path_to_imu(path.timestamp_s, poses, unsure, is_metric=is_metric)
+    assert np.linalg.norm(found.gravity_in_world) == pytest.approx(9.81)
+    assert np.degrees(np.arccos(found.gravity_in_world @ path.gravity_in_world / 9.81**2)) < 0.15
+    assert np.linalg.norm(found.calibration.gravity_in_world) / 9.81 == pytest.approx(1.04, abs=0.02)
+    sigma = np.sqrt(np.diag(found.calibration.covariance)[3:6])
+    assert (np.abs(found.accel_bias - 1.04 * path.accel_bias) < 3.5 * sigma).all()
+    assert abs(found.scale - (1.0 if is_metric else path.scale)) < 2 * 0.04 * found.scale
 
 
 def test_without_noise_the_scale_is_exact():
@@ -80,7 +98,8 @@ def test_another_units_log_is_refused():
             )
 
 
-def test_derivatives_are_those_of_the_terms(rng):
+@pytest.mark.parametrize("is_metric", [False, True])
+def test_derivatives_are_those_of_the_terms(rng, is_metric):
     path = inertial_path(2, seconds=4.0)
     measured = preintegrate(path.log, path.timestamp_s)
     unit = path.world_from_camera @ path.camera_from_imu
@@ -90,9 +109,10 @@ def test_derivatives_are_those_of_the_terms(rng):
         *(0.2, path.gravity_in_world),
     )
     problem = InertialProblem(
-        *(measured, path.world_from_camera, path.camera_from_imu, ImuNoise(), (0.01, 0.01), np.zeros(3))
+        *(measured, path.world_from_camera, path.camera_from_imu, ImuNoise(), (0.01, 0.01), np.zeros(3)),
+        is_metric,
     )
-    states = problem.moved(states, 1e-3 * rng.normal(size=problem.scale_column + 3))
+    states = problem.moved(states, 1e-3 * rng.normal(size=problem.num_unknowns))
     _, gradient = problem.normal_equations(states)
     for _ in range(3):
         trajectory = rng.normal(size=len(gradient))

@@ -6,7 +6,7 @@ import pytest
 from epipole.geometry import Rotation3
 from epipole.inertial import _imu_kernels as kernels
 from epipole.inertial import _inertial_problem, align_path_to_imu, factors, imu_factors, preintegration
-from epipole.inertial._inertial_problem import LANES, InertialProblem, States
+from epipole.inertial._inertial_problem import LANES, SHARED, InertialProblem, States
 from epipole.synthetic.inertial import inertial_path
 from kernel_references import assert_same_as_python, record_calls, reference_of
 
@@ -63,10 +63,10 @@ def test_derivatives_are_differences_of_the_residuals(flight, rng, is_metric):
     states = States(
         rotation, rng.normal(size=(n, 3)), rng.normal(size=(n, 3)), bias, 0.2, np.array([1.0, 2.0, -9.4])
     )
-    at, width = LANES * 4, 2 * LANES + 3
+    at, width = LANES * 4, 2 * LANES + SHARED
     terms, numeric, step = problem._of_imu(states), np.empty((9, width)), 1e-6
     for k in range(width):
-        change = np.zeros(problem.scale_column + 3)
+        change = np.zeros(problem.num_unknowns)
         change[at + k if k < 2 * LANES else problem.scale_column + k - 2 * LANES] = step
         ends = [
             problem._of_imu(problem.moved(states, s * change), differentiate=False).residual[4]
@@ -74,7 +74,7 @@ def test_derivatives_are_differences_of_the_residuals(flight, rng, is_metric):
         ]
         numeric[:, k] = (ends[0] - ends[1]) / (2 * step)
     blocks = [block[4] for _, block in terms.blocks]
-    derivatives = np.concatenate([blocks[0], blocks[1], np.zeros((9, 6)), blocks[2]], axis=1)
+    derivatives = np.concatenate([blocks[0], blocks[1], np.zeros((9, 7)), blocks[2]], axis=1)
     np.testing.assert_allclose(derivatives, numeric, atol=1e-7 * np.abs(numeric).max())
 
 

@@ -13,12 +13,11 @@ from epipole._checks import Declared, checked
 from epipole._damped import minimize
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
-from epipole.inertial._inertial_problem import InertialProblem, States
+from epipole.inertial._inertial_problem import GRAVITY, InertialProblem, States
 from epipole.inertial.dead_reckoning import ImuCalibration
 from epipole.inertial.log import ImuLog, ImuNoise, MountedImu
 from epipole.inertial.preintegration import Preintegrated, preintegrate
 
-GRAVITY = 9.81
 LEAST_POSES = 8
 MOST_POSES = 200  # the variances need a dense inverse with 15 rows per pose
 MOST_STEPS, CONVERGED = 30, 1e-6
@@ -49,10 +48,7 @@ class InertialAlignment(Declared):
     gyro_bias: Float64[np.ndarray, " 3"]
     """rad / s, mean over the trajectory."""
     accel_bias: Float64[np.ndarray, " 3"]
-    """m / s^2, mean over the trajectory. A gain error of the accelerometer adds to it along gravity."""
-    accel_bias_covariance: Float64[np.ndarray, "3 3"]
-    """Of a component at any time, including the effect of that gain error. The covariance in `calibration` excludes it, because dead
-    reckoning uses bias and gain together, and their errors cancel."""
+    """m / s^2, mean over the trajectory."""
     velocity_in_world: Float64[np.ndarray, "n 3"]
     """m / s, in the trajectory's axes, at each pose."""
     calibration: ImuCalibration
@@ -83,6 +79,7 @@ def align_path_to_imu(
     terms (Campos, Montiel and Tardos, Inertial-only optimization for visual-inertial initialization, ICRA 2020, here with
     uncertain poses). Stated densities are those of an IMU at rest, but motors shake it: gyroscope, accelerometer, positions
     and rotations get the variances that their residuals show (variance components), never less than stated for the IMU.
+    Gravity's length is unknown, too, since the accelerometer's gain multiplies it; without it, a gain error appears as tilt and biases.
     The scale's standard deviation comes from the inverse normal matrix. Motion at constant velocity leaves the scale
     undetermined, whatever the scene, and is rejected.
 
@@ -292,11 +289,10 @@ def _judged(problem: InertialProblem, states: States, extent: float, stated: flo
     calibration = _calibration(problem, states, max(misfit, 1.0))
     return InertialAlignment(
         scale=scale,
-        sigma=scale * float(np.hypot(sigma, problem.noise.accel_gain_sigma)),
-        gravity_in_world=states.gravity,
+        sigma=scale * float(np.hypot(sigma, 0.0 if problem.is_metric else problem.noise.accel_gain_sigma)),
+        gravity_in_world=states.gravity * np.exp(-states.log_gain),
         gyro_bias=states.bias[:, :3].mean(axis=0),
         accel_bias=states.bias[:, 3:].mean(axis=0),
-        accel_bias_covariance=calibration.covariance[3:6, 3:6] + _by_gain_error(problem, states),
         velocity_in_world=states.velocity,
         calibration=calibration,
         path_sigma=problem.path_sigma,
@@ -304,21 +300,13 @@ def _judged(problem: InertialProblem, states: States, extent: float, stated: flo
     )
 
 
-def _by_gain_error(problem: InertialProblem, states: States) -> np.ndarray:
-    """(3, 3) covariance of the accelerometer's bias by its unknown gain, which adds the mean force times the gain error."""
-    if problem.is_metric:  # the gain is estimated
-        return np.zeros((3, 3))
-    force = -(np.swapaxes(states.rotation, -1, -2) @ states.gravity).mean(axis=0)
-    return problem.noise.accel_gain_sigma**2 * np.outer(force, force)
-
-
 def _calibration(problem: InertialProblem, states: States, factor: float) -> ImuCalibration:
     """What dead reckoning from the last pose needs, with standard deviations multiplied by a factor."""
     normal, _ = problem.normal_equations(states)
     last, size = problem.scale_column - 6, normal.shape[0]
-    wanted = np.arange(last, last + 9)  # the last biases, scale and gravity
-    unit = np.zeros((size, 9))
-    unit[wanted, np.arange(9)] = 1.0
+    wanted = np.arange(last, last + 10)  # the last biases, scale and gravity
+    unit = np.zeros((size, 10))
+    unit[wanted, np.arange(10)] = 1.0
     inverse = _factored(normal + 1e-12 * scipy.sparse.eye(size, format="csc")).solve(unit)
     covariance = factor**2 * inverse[wanted]
     return ImuCalibration(
@@ -327,5 +315,4 @@ def _calibration(problem: InertialProblem, states: States, factor: float) -> Imu
         states.bias[-1, :3].copy(),
         states.bias[-1, 3:].copy(),
         0.5 * (covariance + covariance.T),
-        problem.is_metric,
     )

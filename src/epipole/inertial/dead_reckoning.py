@@ -16,8 +16,8 @@ from epipole.inertial.preintegration import Preintegrated, preintegrate
 
 LEAST_SIGMA_M = 1e-4
 """Lower bound for the positions' standard deviation, which few poses underestimate."""
-_ROTATION, _VELOCITY, _POSITION, _CALIBRATION = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 18)
-_BIAS, _SCALE, _GRAVITY = slice(9, 15), 15, slice(15, 18)
+_ROTATION, _VELOCITY, _POSITION, _CALIBRATION = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 19)
+_BIAS, _SCALE, _GRAVITY = slice(9, 15), 15, slice(16, 19)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,24 +25,21 @@ class ImuCalibration(Declared):
     """What is needed to convert measurements to motion in the world of a map."""
 
     scale: float
-    """The IMU's meters per unit of the map, which include its accelerometer's gain."""
+    """The IMU's meters per unit of the map, which include its accelerometer's gain along the motion."""
     gravity_in_world: Float64[np.ndarray, " 3"]
     """The IMU's m / s^2."""
     gyro_bias: Float64[np.ndarray, " 3"]
     """rad / s."""
     accel_bias: Float64[np.ndarray, " 3"]
     """m / s^2."""
-    covariance: Float64[np.ndarray, "9 9"]
-    """Of both biases, of the log scale, and of gravity's rotation about two axes perpendicular to it, in radians."""
-    is_metric: bool = False
-    """Whether the map is in meters: then the scale is the accelerometer's gain, and scales gravity, too."""
+    covariance: Float64[np.ndarray, "10 10"]
+    """Of both biases, of the log scale, of the log gain along gravity, and of gravity's rotation about two axes perpendicular to it, in
+    radians."""
 
     def gravity_by_calibration(self) -> Float64[np.ndarray, "3 3"]:
-        """Derivative of gravity by the log scale and its rotation."""
+        """Derivative of gravity by the log gain and its rotation."""
         gravity = self.gravity_in_world
-        return np.concatenate(
-            [self.is_metric * gravity[:, None], -skew(gravity) @ across_gravity(gravity)], axis=1
-        )
+        return np.concatenate([gravity[:, None], -skew(gravity) @ across_gravity(gravity)], axis=1)
 
     def __repr__(self) -> str:
         return f"ImuCalibration(scale {self.scale:.6g})"
@@ -57,7 +54,7 @@ class ImuMotion(Declared):
     """In meters."""
     velocity_in_world: Float64[np.ndarray, " 3"]
     """m / s."""
-    covariance: Float64[np.ndarray, "18 18"]
+    covariance: Float64[np.ndarray, "19 19"]
     """Of phi in R exp(phi), of velocity and position in the world, and of the calibration (as `ImuCalibration.covariance`)."""
     calibration: ImuCalibration
 
@@ -66,7 +63,7 @@ class ImuMotion(Declared):
         scale, rotation = self.calibration.scale, self.world_from_imu.rotation
         pose = camera_from_imu @ self.world_from_imu.inverse()
         # (R exp(phi), p + dp) has the inverse exp(xi) @ imu_from_world with xi = (-R^T dp, -phi).
-        by_state = np.zeros((6, 18))
+        by_state = np.zeros((6, 19))
         by_state[:3, _POSITION], by_state[3:, _ROTATION] = -rotation.T, -np.eye(3)
         by_state = np.diag(np.repeat([1.0 / scale, 1.0], 3)) @ camera_from_imu.adjoint() @ by_state
         by_state[:3, _SCALE] = -pose.translation / scale
@@ -117,10 +114,10 @@ def fit_imu_motion(
     own = sigma**2 * fit @ fit.T
     positions_by = -went_by
     positions_by[:, :, 6] += calibration.scale * world_from_camera.translation
-    by_calibration = np.zeros((18, 9))
+    by_calibration = np.zeros((19, 10))
     by_calibration[_POSITION] = went_by[-1] + np.einsum("n,nij->ij", fit[0], positions_by)
     by_calibration[_VELOCITY] = gained_by[-1] + np.einsum("n,nij->ij", fit[1], positions_by)
-    by_calibration[_CALIBRATION] = np.eye(9)
+    by_calibration[_CALIBRATION] = np.eye(10)
     whole = by_calibration @ calibration.covariance @ by_calibration.T
     mount = imu.camera_from_imu.rotation
     whole[_ROTATION, _ROTATION] += mount.T @ covariance[3:, 3:] @ mount
@@ -134,21 +131,21 @@ def fit_imu_motion(
 def _added(
     measured: Preintegrated, rotation: np.ndarray, calibration: ImuCalibration
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Velocity and position (n, 3) that gravity and accelerometer add since the first time; derivatives (n, 3, 9) by the calibration."""
+    """Velocity and position (n, 3) that gravity and accelerometer add since the first time; derivatives (n, 3, 10) by the calibration."""
     n, gravity = len(rotation), calibration.gravity_in_world
     gravity_by = calibration.gravity_by_calibration()
     gained, went = np.zeros((n, 3)), np.zeros((n, 3))
-    gained_by, went_by = np.zeros((n, 3, 9)), np.zeros((n, 3, 9))
+    gained_by, went_by = np.zeros((n, 3, 10)), np.zeros((n, 3, 10))
     for i, dt in enumerate(measured.seconds):
         there = rotation[i]
         went[i + 1] = went[i] + gained[i] * dt + 0.5 * gravity * dt**2 + there @ measured.position[i]
         gained[i + 1] = gained[i] + gravity * dt + there @ measured.velocity[i]
         went_by[i + 1] = went_by[i] + gained_by[i] * dt
         went_by[i + 1, :, :6] += there @ measured.by_bias[i, 6:]
-        went_by[i + 1, :, 6:] += 0.5 * gravity_by * dt**2
+        went_by[i + 1, :, 7:] += 0.5 * gravity_by * dt**2
         gained_by[i + 1] = gained_by[i]
         gained_by[i + 1, :, :6] += there @ measured.by_bias[i, 3:6]
-        gained_by[i + 1, :, 6:] += gravity_by * dt
+        gained_by[i + 1, :, 7:] += gravity_by * dt
     return gained, went, gained_by, went_by
 
 
@@ -173,7 +170,7 @@ def carry_motion(motion: ImuMotion, timestamp_s: float, imu: MountedImu) -> ImuM
     velocity = motion.velocity_in_world + gravity * dt + rotation @ measured.velocity[0]
     position = start.translation + motion.velocity_in_world * dt + 0.5 * gravity * dt**2
     position = position + rotation @ measured.position[0]
-    change = np.eye(18)
+    change = np.eye(19)
     change[_ROTATION, _ROTATION] = rotated.T
     change[_VELOCITY, _ROTATION] = -rotation @ skew(measured.velocity[0])
     change[_POSITION, _ROTATION] = -rotation @ skew(measured.position[0])

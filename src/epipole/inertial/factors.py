@@ -12,7 +12,7 @@ from epipole._checks import checked
 from epipole.errors import DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, skew
 from epipole.inertial import _imu_kernels as kernels
-from epipole.inertial._inertial_problem import LANES, InertialProblem, States
+from epipole.inertial._inertial_problem import LANES, SHARED, InertialProblem, States
 from epipole.inertial.alignment import InertialAlignment
 from epipole.inertial.log import MountedImu
 from epipole.inertial.preintegration import preintegrate
@@ -24,7 +24,7 @@ CONVERGED = 1e-9
 RIDGE = 1e-9
 """Fraction of its diagonal added to the inner matrix: unobservable unknowns keep their values."""
 OUTER = 6  # unknowns of a pose
-INNER = 9  # further unknowns of a frame: velocity and biases; the scale and two of gravity come last
+INNER = 9  # further unknowns of a frame: velocity and biases; those that all frames share come last
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,11 +85,20 @@ class ImuFactors:
         states, _ = self._at_best(poses)
         matrix, _ = self._equations(states, poses)
         n = len(self.frames)
-        unit = np.zeros(INNER * n + 3)
+        unit = np.zeros(INNER * n + SHARED)
         unit[INNER * n] = 1.0
         row = self._inner_solve(matrix, unit)
         across = matrix[OUTER * n :, : OUTER * n]
         return states.log_scale, float(unit @ row), -(row @ across).reshape(n, OUTER)
+
+    def gravity(self, rig_from_world: Rigid3) -> tuple[Float64[np.ndarray, " 3"], float]:
+        """Gravity in the world, in m / s^2, at the optimum for the given poses, and the variance of its direction if they are exact."""
+        poses = rig_from_world.inverse()
+        states, _ = self._at_best(poses)
+        matrix, _ = self._equations(states, poses)
+        tilts = np.eye(len(matrix) - OUTER * len(self.frames))[:, -2:]
+        variance = float((tilts * self._inner_solve(matrix, tilts)).sum())
+        return states.gravity * np.exp(-states.log_gain), variance
 
     def variance_factors(self, rig_from_world: Rigid3) -> tuple[float, float]:
         """Factors by which to scale the stated variances of gyroscope and accelerometer, from adjusted poses.
@@ -140,24 +149,24 @@ class ImuFactors:
 
     def _equations(self, states: States, poses: Rigid3) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrix and gradient over all poses, then velocities and biases, scale and gravity."""
-        n = len(self.frames)
-        imu, walk, first, scale = self.problem.imu_terms(states)
+        n, count = len(self.frames), self.problem.num_unknowns
+        imu, walk, first, gains = self.problem.imu_terms(states)
         by_all = self._by_unknowns(imu.blocks, walk.blocks, states, poses)
         residual = np.concatenate([imu.residual, walk.residual], axis=1)
         frame = np.arange(n - 1)[:, None]
         own = [OUTER * (frame + e) + np.arange(OUTER) for e in (0, 1)]
         inner = [OUTER * n + INNER * (frame + e) + np.arange(INNER) for e in (0, 1)]
-        shared = np.broadcast_to(LANES * n + np.arange(3), (n - 1, 3))
+        shared = np.broadcast_to(np.arange(LANES * n, count), (n - 1, SHARED))
         at = np.concatenate([own[0], inner[0], own[1], inner[1], shared], axis=1)
-        matrix, gradient = np.zeros((LANES * n + 3, LANES * n + 3)), np.zeros(LANES * n + 3)
+        matrix, gradient = np.zeros((count, count)), np.zeros(count)
         kernels.add_normal_equations(at, by_all, residual, matrix, gradient)
         biases = OUTER * n + np.arange(3, INNER)
         by_first = first.blocks[0][1][0]
         matrix[np.ix_(biases, biases)] += by_first.T @ by_first
         gradient[biases] += by_first.T @ first.residual[0]
-        by_scale = float(scale.blocks[0][1][0, 0, 0])
-        matrix[LANES * n, LANES * n] += by_scale**2
-        gradient[LANES * n] += by_scale * scale.residual[0, 0]
+        by_gains, own_gains = gains.blocks[0][1][0], LANES * n + np.arange(2)
+        matrix[np.ix_(own_gains, own_gains)] += by_gains.T @ by_gains
+        gradient[own_gains] += by_gains.T @ gains.residual[0]
         return matrix, gradient
 
     def _by_unknowns(
@@ -167,7 +176,7 @@ class ImuFactors:
         states: States,
         poses: Rigid3,
     ) -> np.ndarray:
-        """(m, 15, 33) derivatives of an interval by both frames' xi, velocity and biases, by scale and gravity.
+        """(m, 15, 34) derivatives of an interval by both frames' xi, velocity and biases, and by what all frames share.
 
         Under xi = (rho, theta) the IMU rotates by -R_ci^T theta and moves by -s R_wc rho + R_wc [t_ci] theta.
         """
@@ -176,7 +185,7 @@ class ImuFactors:
         by_lane = np.zeros((2, m, LANES, LANES))
         by_lane[0, :, :9], by_lane[1, :, :9, :9] = of_imu[0][1], of_imu[1][1]
         by_lane[0, :, 9:, 9:], by_lane[1, :, 9:, 9:] = of_walk[0][1], of_walk[1][1]
-        out = np.zeros((m, LANES, 2 * LANES + 3))
+        out = np.zeros((m, LANES, 2 * LANES + SHARED))
         for end in (0, 1):
             rotated, there = poses.rotation[end : m + end], poses.translation[end : m + end]
             by_rotation, by_position, first = by_lane[end, ..., :3], by_lane[end, ..., 6:9], LANES * end
@@ -187,7 +196,7 @@ class ImuFactors:
             out[..., first + 6 : first + 9] = by_lane[end, ..., 3:6]
             out[..., first + 9 : first + 15] = by_lane[end, ..., 9:]
             out[..., 2 * LANES] += scale * (by_position @ there[..., None])[..., 0]
-        out[:, :9, 2 * LANES :] += of_imu[2][1]
+        out[:, :9, 2 * LANES + 1 :] += of_imu[2][1]
         return out
 
     def _inner_solve(self, matrix: np.ndarray, rhs: np.ndarray) -> np.ndarray:
@@ -238,11 +247,12 @@ def imu_factors(
     problem = InertialProblem(
         measured, world_from_camera, imu.camera_from_imu, imu.noise, sigmas, aligned.gyro_bias, is_metric
     )
-    rotation, positions = _of_unit(world_from_camera, imu.camera_from_imu, aligned.scale)
+    scale, gravity = aligned.calibration.scale, aligned.calibration.gravity_in_world
+    rotation, positions = _of_unit(world_from_camera, imu.camera_from_imu, scale)
     velocity = np.gradient(positions, timestamp_s, axis=0)
     biases = np.tile(np.concatenate([aligned.gyro_bias, aligned.accel_bias]), (n, 1))
-    scale, gravity = float(np.log(aligned.scale)), aligned.gravity_in_world
-    return ImuFactors(frames, problem, States(rotation, velocity, positions, biases, scale, gravity), weight)
+    start = States(rotation, velocity, positions, biases, float(np.log(scale)), gravity)
+    return ImuFactors(frames, problem, start, weight)
 
 
 def _of_unit(poses: Rigid3, mounting: Rigid3, scale: float) -> tuple[np.ndarray, np.ndarray]:

@@ -46,7 +46,8 @@ class InertialConstraints:
     Attributes:
         camera_imu: measurements, mounting, specified noise and clock.
         is_metric: whether the map is in meters.
-        aligned: scale, gravity and biases of some keyframes; None until they are observable.
+        aligned: scale, gravity and biases of some keyframes; None until they are observable. Adjustments of as many keyframes or more
+            update its gravity.
         noise: noise densities, at least the specified ones, raised to what the adjusted trajectory shows.
     """
 
@@ -54,6 +55,7 @@ class InertialConstraints:
         self.camera_imu, self.is_metric = camera_imu, is_metric
         self.aligned: InertialAlignment | None = None
         self.noise = camera_imu.imu.noise
+        self._num_leveled = 0  # keyframes of the adjustment from which gravity comes
 
     @property
     def imu(self) -> MountedImu:
@@ -135,14 +137,25 @@ class InertialConstraints:
         given = np.array([one.variance_factors(cam_from_world[one.frames]) for one in factors])
         gyro, accel = np.average(given, axis=0, weights=[len(one.frames) for one in factors])
         if not max(gyro, accel) <= LARGEST_MISFIT**2:
-            self.aligned = None
+            self.aligned, self._num_leveled = None, 0
             return False
         self.noise = replace(
             self.noise,
             gyro_density=max(self.noise.gyro_density * gyro**0.5, self.imu.noise.gyro_density),
             accel_density=max(self.noise.accel_density * accel**0.5, self.imu.noise.accel_density),
         )
+        self._level(factors, cam_from_world)
         return True
+
+    def _level(self, factors: Sequence[ImuFactors], cam_from_world: Rigid3) -> None:
+        """Take gravity from an adjustment, unless it comes from one of more keyframes."""
+        count = sum(len(one.frames) for one in factors)
+        if self.aligned is None or count < self._num_leveled:
+            return
+        found, variances = zip(*(one.gravity(cam_from_world[one.frames]) for one in factors))
+        mean = np.average(found, axis=0, weights=1.0 / np.array(variances))
+        gravity = mean * np.linalg.norm(found[0]) / np.linalg.norm(mean)
+        self.aligned, self._num_leveled = replace(self.aligned, gravity_in_world=gravity), count
 
     def _in_a_row(self, keyframes: Sequence[Keyframe], longest_s: float) -> list[np.ndarray]:
         """Indices of consecutive keyframes, in the order of time, at most so far apart, between which the log has no gap."""
