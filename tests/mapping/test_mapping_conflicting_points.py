@@ -8,7 +8,7 @@ import pytest
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
 from epipole.mapping import _conflict_kernels as kernels
-from epipole.mapping import cluster_images, conflicting_points, find_conflicting_points
+from epipole.mapping import ConflictingPoints, cluster_images, conflicting_points, find_conflicting_points
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
 from kernel_references import assert_same_as_python, record_calls, reference_of
 
@@ -76,6 +76,29 @@ def test_images_of_different_things_in_one_place_conflict(rng):
     assert found.contradicts_model
     clusters = cluster_images(10, found.image1, found.image2, found.evidence)
     np.testing.assert_array_equal(clusters, np.arange(10) % 2)
+
+
+def counted(num_same, num_different, fraction_of_same, fraction_of_different):
+    """Pairs of 1,000 views with these fractions of conflicts, give or take a third."""
+    spread = [np.linspace(0.67, 1.33, n) for n in (num_same, num_different)]
+    conflicting = np.concatenate([fraction_of_same * spread[0], fraction_of_different * spread[1]])
+    conflicting = np.rint(1000 * conflicting).astype(np.int64)
+    image = np.zeros(len(conflicting), np.int32)
+    return ConflictingPoints(image, image + 1, 1000 - conflicting, np.zeros_like(conflicting), conflicting)
+
+
+@pytest.mark.parametrize("of_same", [0.0, 0.005, 0.05, 0.12])
+def test_the_typical_fraction_of_conflicts_is_that_of_the_model(of_same):
+    """Blurred frames have more conflicts, of which a tenth of the pairs shows the least; different things still have more."""
+    right, wrong = counted(200, 0, of_same, 0.0), counted(120, 80, of_same, 0.4)
+    same, different = right.typical_fractions
+    assert same >= 0.7 * min(of_same, 0.06) and different >= 3 * same
+    assert not right.contradicts_model
+    assert wrong.contradicts_model and wrong.is_contradiction[120:].all() and (wrong.evidence[120:] < 0.0).all()
+
+
+def test_a_model_of_many_like_things_is_in_doubt_although_few_of_its_pairs_show_the_same_thing():
+    assert counted(0, 200, 0.0, 0.5).contradicts_model
 
 
 def test_what_one_thing_hides_is_no_contradiction_of_the_model(rng):

@@ -64,13 +64,15 @@ def map_apart(
 ) -> Separation:
     """Map the images; while points of a model conflict, map them again without the pairs that hold it together.
 
+    If as large a part of the pairs conflicts in the end, these pairs were not what was wrong, and the first models are returned.
+
     Args:
         view_graph: verified pairs.
         map_pairs: maps the images with the pairs of a mask.
         matched: pairs of images that were matched, verified or not; None for all.
     """
     used, fraction = np.ones(len(view_graph), bool), np.full(len(view_graph), np.nan)
-    found = map_once(view_graph, map_pairs, matched)
+    found = first = map_once(view_graph, map_pairs, matched)
     if not any(conflicts.contradicts_model for conflicts in found.conflicts):
         return found
     was_false = np.zeros(len(view_graph), bool)
@@ -103,7 +105,13 @@ def map_apart(
             fraction[is_known] = p.fraction[is_known]
         unused = _unused(view_graph, attempt, used, fraction)
         found = Separation(attempt, _conflicts_of(attempt.mapped, matched), unused)
-    return found
+    return found if _part_in_conflict(found) < _part_in_conflict(first) else first
+
+
+def _part_in_conflict(found: Separation) -> float:
+    """Part of the judged pairs of all models whose points conflict."""
+    judged = sum(int(conflicts.is_judged.sum()) for conflicts in found.conflicts)
+    return sum(int(conflicts.is_contradiction.sum()) for conflicts in found.conflicts) / max(judged, 1)
 
 
 def _any(masks: Sequence[np.ndarray], count: int) -> np.ndarray:
