@@ -53,7 +53,7 @@ def test_scale_and_biases_are_within_their_deviations_although_the_gain_is_unkno
 
 @pytest.mark.parametrize("is_metric", [False, True])
 def test_a_gain_error_does_not_tilt_gravity(is_metric):
-    """An accelerometer that reads 4 % too much: rotations tell its gain along gravity from its biases."""
+    """An accelerometer that reads 4 % too much: rotations separate its gain along gravity from its biases."""
     path = inertial_path(1)
     log = replace(path.log, accel_m_s2=1.04 * path.log.accel_m_s2)
     unsure = replace(path.imu(), log=log, noise=replace(path.imu().noise, accel_gain_sigma=0.04))

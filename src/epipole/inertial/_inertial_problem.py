@@ -35,7 +35,7 @@ class States(NamedTuple):
 
     @property
     def log_gain(self) -> float:
-        """Logarithm of the accelerometer's gain along gravity, as far as rotations tell it from the biases."""
+        """Logarithm of the accelerometer's gain along gravity, which rotations separate from the biases."""
         return float(np.log(np.linalg.norm(self.gravity) / GRAVITY))
 
 

@@ -64,6 +64,13 @@ class ConflictingPoints(Declared):
     def __len__(self) -> int:
         return len(self.image1)
 
+    def among(self, image1: Int32[np.ndarray, " m"], image2: Int32[np.ndarray, " m"]) -> ConflictingPoints:
+        """Those of some pairs of images, such as the verified ones."""
+        size = 1 + max(int(image.max(initial=0)) for image in (self.image1, self.image2, image1, image2))
+        wanted = np.minimum(image1, image2).astype(np.int64) * size + np.maximum(image1, image2)
+        rows = np.isin(self.image1.astype(np.int64) * size + self.image2, wanted)
+        return ConflictingPoints(*(getattr(self, name)[rows] for name in self.__slots__))
+
     @property
     def is_judged(self) -> Bool[np.ndarray, " n"]:
         """Pairs with enough views."""
@@ -142,12 +149,9 @@ def find_conflicting_points(
     pair, row = np.unique(key, return_inverse=True)
     found = np.zeros((NUM_KINDS, len(pair)), np.int64)
     np.add.at(found, (kind, row), count)
-    if matched is not None:
-        tried = matched.min(axis=1).astype(np.int64) * num_images + matched.max(axis=1)
-        was_tried = np.isin(pair, tried)
-        pair, found = pair[was_tried], found[:, was_tried]
     image1, image2 = np.divmod(pair, max(num_images, 1))
-    return ConflictingPoints(image1.astype(np.int32), image2.astype(np.int32), *found)
+    conflicts = ConflictingPoints(image1.astype(np.int32), image2.astype(np.int32), *found)
+    return conflicts if matched is None else conflicts.among(matched[:, 0], matched[:, 1])
 
 
 def _views_of(model: Reconstruction) -> Views:

@@ -52,7 +52,10 @@ class Separation:
 
     last: Attempt
     conflicts: tuple[ConflictingPoints, ...]
-    """Of each model."""
+    """Of each model, between images of verified pairs. Only these can hold different things together; images that see the same thing need not
+    match, as blurred ones."""
+    evidence: tuple[ConflictingPoints, ...]
+    """Of each model, between all images that were matched."""
     contradicting: ContradictingPairs
     """The verified pairs that the models do not use."""
 
@@ -104,7 +107,7 @@ def map_apart(
             is_known = dropped & np.isfinite(p.fraction)
             fraction[is_known] = p.fraction[is_known]
         unused = _unused(view_graph, attempt, used, fraction)
-        found = Separation(attempt, _conflicts_of(attempt.mapped, matched), unused)
+        found = _separation(view_graph, attempt, unused, matched)
     return found if _part_in_conflict(found) < _part_in_conflict(first) else first
 
 
@@ -126,9 +129,9 @@ def _doubtful_pairs(
     # A plane allows two motions: of the pairs that were used, the one that was.
     rotation[used & np.isnan(found.last.contradiction_rad)] = found.last.view_graph.cam2_from_cam1.rotation
     return [
-        FalsePairs.of(view_graph, model, conflicts, disagrees(view_graph, rotation, model))
-        for model, conflicts in zip(found.last.mapped.models, found.conflicts)
-        if (conflicts.contradicts_model if is_first else is_doubtful(conflicts, len(model.images)))
+        FalsePairs.of(view_graph, model, evidence, disagrees(view_graph, rotation, model))
+        for model, conflicts, evidence in zip(found.last.mapped.models, found.conflicts, found.evidence)
+        if (conflicts.contradicts_model if is_first else is_doubtful(evidence, len(model.images)))
     ]
 
 
@@ -141,7 +144,7 @@ def map_once(
     used = np.ones(len(view_graph), bool)
     attempt = map_pairs(used)
     unused = _unused(view_graph, attempt, used, np.full(len(view_graph), np.nan))
-    return Separation(attempt, _conflicts_of(attempt.mapped, matched), unused)
+    return _separation(view_graph, attempt, unused, matched)
 
 
 def _unused(
@@ -156,6 +159,9 @@ def _unused(
     )
 
 
-def _conflicts_of(mapped: Mapped, matched: np.ndarray | None) -> tuple[ConflictingPoints, ...]:
-    """Conflicting points of each model."""
-    return tuple(find_conflicting_points(model, matched) for model in mapped.models)
+def _separation(
+    view_graph: ViewGraph, attempt: Attempt, unused: ContradictingPairs, matched: np.ndarray | None
+) -> Separation:
+    evidence = tuple(find_conflicting_points(model, matched) for model in attempt.mapped.models)
+    verified = view_graph.image1, view_graph.image2
+    return Separation(attempt, tuple(found.among(*verified) for found in evidence), evidence, unused)
