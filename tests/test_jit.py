@@ -19,6 +19,7 @@ from epipole import _jit
 from epipole._jit import SAFE_FASTMATH, cache_folder, compile_seconds, kernel, storage
 from epipole._jit.linking import Kernel
 from epipole.pipelines.sfm.warm_up import warm_up
+from whole import IS_WHOLE
 
 
 @kernel
@@ -164,7 +165,7 @@ def test_an_unusable_cache_folder_is_no_reason_to_stop(tmp_path: Path) -> None:
     assert folder.is_dir() and folder.is_relative_to(tmp_path) and folder.name == cache_folder().name
 
 
-@pytest.mark.parametrize("mode", ["linked", "plain"])
+@pytest.mark.parametrize("mode", ["linked"] + IS_WHOLE * ["plain"])
 def test_kernels_that_are_cut_short_are_compiled_again(tmp_path: Path, mode: str) -> None:
     """Either of the two files of a kernel, cut anywhere; and a byte that has changed, which only digests tell."""
     env = {"EPIPOLE_CACHE_DIR": str(tmp_path), "EPIPOLE_KERNELS": mode}

@@ -18,7 +18,7 @@ from epipole.io.images.photographs import read_rgb
 from epipole.pipelines.fields.kinds import KINDS, kind_in, read_neural, read_voxels
 from epipole.pipelines.fields.scene import is_mine, seen_gaussians
 from epipole.pipelines.viewing.run import write_page
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 pytestmark = pytest.mark.usefixtures("small_hash", "unchecked_module")
 
@@ -30,7 +30,7 @@ DARKEST = {"grid": 0.7, "hash": 0.8}
 MOST_LEVELS = {"grid": 2, "hash": 4}
 
 
-@pytest.fixture(scope="module", params=list(KINDS))
+@pytest.fixture(scope="module", params=["hash"] + IS_WHOLE * ["grid"])
 def result(request, source, tmp_path_factory):
     return nerf(
         source, tmp_path_factory.mktemp("nerf") / "out", test_every=7, steps=STEPS, kind=request.param
@@ -102,6 +102,7 @@ def test_its_gaussians_look_like_it(result):
     assert psnr(one, other) > psnr(np.ones_like(other), other) + 3.0
 
 
+@in_whole_run
 @pytest.mark.parametrize("result", ["grid"], indirect=True)
 def test_so_many_gaussians_are_made_and_none_of_what_is_empty(result):
     voxels = kind_of(result).voxels(result.field)
@@ -110,6 +111,7 @@ def test_so_many_gaussians_are_made_and_none_of_what_is_empty(result):
         gaussians_of(voxels._replace(values=np.zeros_like(voxels.values)), 50)
 
 
+@in_whole_run
 @pytest.mark.parametrize(
     "result", ["grid"], indirect=True
 )  # a neural field is first made a grid, which takes long
@@ -123,6 +125,7 @@ def test_its_gaussians_are_shared_with_its_cameras(result, tmp_path):
     assert len(given["cameras"]["names"]) == len(views()) - 2
 
 
+@in_whole_run
 def test_another_kind_takes_the_place_of_the_first(source, tmp_path):
     for kind in ("hash", "grid"):
         found = nerf(source, tmp_path / "out", steps=2, kind=kind)

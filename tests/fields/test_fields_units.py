@@ -13,6 +13,7 @@ from epipole.cli.main import main
 from epipole.io.gaussians.files import write_gaussians
 from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.rendering import image_units
+from whole import in_whole_run
 
 pytestmark = pytest.mark.usefixtures("small_hash")
 FOUR = {"frames": 4, "width": 40}
@@ -87,6 +88,7 @@ def test_another_field_under_the_same_name_is_drawn(splats: Path, tmp_path: Path
     assert not before.items() & images(tmp_path / "out").items()
 
 
+@in_whole_run
 def test_a_cluster_draws_the_same_images(trained: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     render(trained, tmp_path / "here", **FOUR)
@@ -95,6 +97,7 @@ def test_a_cluster_draws_the_same_images(trained: Path, tmp_path: Path) -> None:
     assert images(tmp_path / "here") == images(tmp_path / "there")
 
 
+@in_whole_run
 def test_a_cluster_compares_the_same_views(source: Path, trained: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     out = tmp_path / "out"

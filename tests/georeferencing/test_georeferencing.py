@@ -111,7 +111,7 @@ def test_a_wrong_coordinate_is_found_and_named():
     assert (np.abs(ratios(found, one.truth)) < 4.0).all()
 
 
-@pytest.mark.parametrize("off_m", [0.2, 0.3, 0.5])
+@pytest.mark.parametrize("off_m", [0.2] + IS_WHOLE * [0.3, 0.5])
 def test_small_errors_of_coordinates_are_found(off_m: float):
     """Ten standard deviations, which the correlated residuals of the images must not hide."""
     num_found = 0

@@ -22,6 +22,7 @@ from epipole.pipelines.localization.localized_image import LocalizationReason
 from epipole.pipelines.localization.query_cameras import QueryCamera
 from epipole.pipelines.localization.results import image_summary
 from epipole.scene import Georeference
+from whole import IS_WHOLE
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +61,7 @@ def test_images_are_localized_where_they_were_taken(result, views, truth, worksp
         assert not found.is_focal_contradicted and abs(found.focal_correction) < 0.01
 
 
-@pytest.mark.parametrize("factor", [0.85, 0.95, 1.05, 1.2])
+@pytest.mark.parametrize("factor", [0.95] + IS_WHOLE * [0.85, 1.05, 1.2])
 def test_a_wrong_focal_length_is_named_in_every_image(factor, photographs, workspace):
     """Also where most matches agree with it within the threshold."""
     localizer = epipole.Localizer.open(workspace)
@@ -152,7 +153,7 @@ def test_images_of_another_scene_alone_end_with_a_warning(photographs, workspace
     assert any("no image of 3 is localized" in warning for warning in found.warnings)
 
 
-@pytest.mark.parametrize("zoom", [1.06, 1.4])
+@pytest.mark.parametrize("zoom", [1.06] + IS_WHOLE * [1.4])
 def test_another_zoom_without_exif_is_noticed(workspace, photographs, views, truth, tmp_path, zoom):
     """Images without EXIF have the size of the model's images, but were cropped: they have another focal length."""
     without = tmp_path / "model"

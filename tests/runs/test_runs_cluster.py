@@ -17,6 +17,7 @@ from epipole.runs import Cluster, Unit, cluster, cluster_dispatch, digest, execu
 from epipole.runs.cluster import Connection, connected, joined
 from epipole.runs.cluster_work import RemoteFile, run_chunk
 from epipole.runs.payloads import files_in, with_paths
+from whole import IS_WHOLE
 
 distributed = pytest.importorskip("distributed")
 
@@ -77,7 +78,7 @@ def expected(tmp_path: Path) -> dict[str, bytes]:
     return contents(tmp_path / "here")
 
 
-@pytest.mark.parametrize("is_shared", [True, False])
+@pytest.mark.parametrize("is_shared", [False] + IS_WHOLE * [True])
 def test_the_files_are_those_of_this_process(
     client: Any, tmp_path: Path, expected: dict[str, bytes], is_shared: bool
 ) -> None:
@@ -95,7 +96,7 @@ def test_the_files_are_those_of_this_process(
     assert run_units(units, stage="s", executor=connection) == 0
 
 
-@pytest.mark.parametrize("is_shared", [True, False])
+@pytest.mark.parametrize("is_shared", [True] + IS_WHOLE * [False])
 def test_a_worker_that_is_killed_costs_nothing_but_time(
     client: Any, tmp_path: Path, expected: dict[str, bytes], is_shared: bool
 ) -> None:

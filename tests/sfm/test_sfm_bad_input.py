@@ -60,6 +60,7 @@ with atomic_write(sys.argv[1]) as aside:
 """
 
 
+@in_whole_run
 @pytest.mark.parametrize("is_rotated", [False] + IS_WHOLE * [True])
 def test_an_older_picture_replaces_the_newer_one(rendered, tmp_path, is_rotated):
     """Which file is older says nothing: `cp -p`, an unpacked archive or a backup bring old dates."""
@@ -88,6 +89,7 @@ def test_an_older_picture_replaces_the_newer_one(rendered, tmp_path, is_rotated)
     assert copy.stat().st_ino == state.st_ino and copy.stat().st_mtime_ns == state.st_mtime_ns
 
 
+@in_whole_run
 def test_avif_ends_with_a_model(few, tmp_path):
     folder = tmp_path / "photographs"
     folder.mkdir()

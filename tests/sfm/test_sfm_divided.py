@@ -17,6 +17,7 @@ from epipole.pipelines.sfm.mappers.divided import MappedPart, divided, map_divid
 from epipole.pipelines.sfm.part_stage import load_part
 from epipole.runs import Progress
 from epipole.synthetic.problems import bundle_problem
+from whole import IS_WHOLE, in_whole_run
 
 IN_PARTS = replace(EXACT, part_images=10)
 
@@ -60,6 +61,7 @@ def test_exact_parts_become_the_exact_model(long_ring, long_graph):
     assert off.max() < 1e-6 and turned.max() < 1e-6
 
 
+@in_whole_run
 def test_images_that_are_not_usable_are_in_no_part(long_ring, long_graph):
     mapper = mapper_of(long_ring, long_graph, IN_PARTS)
     usable = np.arange(30) != 7
@@ -85,6 +87,7 @@ def test_images_of_a_wrong_part_are_registered_one_by_one(long_ring, long_graph)
     assert off.max() < 1e-6
 
 
+@in_whole_run
 def test_parts_that_cannot_be_joined_are_said(long_ring, long_graph, monkeypatch):
     monkeypatch.setattr(growth, "join_models", lambda _model, parts, _config: dict(parts[0]))
     mapper = mapper_of(long_ring, long_graph, IN_PARTS)
@@ -103,7 +106,7 @@ def test_parts_without_a_model_are_left_out(long_ring, long_graph):
     assert "gave no model" in mapper.notes[0] and "mapped together" in mapper.notes[1]
 
 
-@pytest.mark.parametrize("executor", ["inline", "processes"])
+@pytest.mark.parametrize("executor", ["inline"] + IS_WHOLE * ["processes"])
 def test_photographs_in_parts(rendered, reconstructed, tmp_path, executor):
     """Parts of three of six photographs, in files of units; the part's own file is removed again."""
     reports: list[Progress] = []
@@ -118,6 +121,7 @@ def test_photographs_in_parts(rendered, reconstructed, tmp_path, executor):
     np.testing.assert_allclose(near / near[-1], far / far[-1], rtol=0.01)
 
 
+@in_whole_run
 def test_the_same_bytes_whoever_maps_the_parts(rendered, tmp_path):
     first = reconstruct(rendered, tmp_path / "first", _in_parts(3), executor="inline")
     second = reconstruct(rendered, tmp_path / "second", _in_parts(3), executor="threads")

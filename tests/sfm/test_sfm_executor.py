@@ -12,6 +12,7 @@ import pytest
 from epipole import reconstruct
 from epipole.pipelines.sfm.run import ReconstructionResult
 from epipole.runs import Progress
+from whole import in_whole_run
 
 
 class Elsewhere(Executor):
@@ -77,6 +78,7 @@ def same_files(here: Path, there: Path) -> None:
             assert (here / name).read_bytes() == (there / name).read_bytes(), name
 
 
+@in_whole_run
 def test_the_same_bytes_from_a_cluster_without_a_shared_folder(
     few: Path, here: ReconstructionResult, tmp_path: Path
 ) -> None:

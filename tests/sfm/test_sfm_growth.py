@@ -13,6 +13,7 @@ from epipole.io.colmap.model import read_colmap_model, write_colmap_model
 from epipole.pipelines.sfm.matching import match_stage
 from epipole.runs import overwriting
 from epipole.runs.folder import MARK
+from whole import in_whole_run
 
 
 @pytest.fixture(scope="session")
@@ -62,6 +63,7 @@ def test_only_pairs_with_further_images_are_matched(work, monkeypatch):
     assert len(matched) == 6 * 5 // 2 - 4 * 3 // 2
 
 
+@in_whole_run
 def test_the_same_whatever_the_number_of_threads(work):
     found = {}
     for threads in (1, 2):
@@ -96,6 +98,7 @@ def test_images_that_are_gone_and_nothing_to_grow_from(work, tmp_path):
         reconstruct(work / "images", tmp_path / "empty", grow=True)
 
 
+@in_whole_run
 def test_a_replaced_image_is_another_image(work):
     """The file of an earlier image now shows what another one showed: its old pose does not count."""
     paths = sorted((work / "images").iterdir())
@@ -122,6 +125,7 @@ def test_a_model_that_did_not_grow_is_reported(work):
     assert any("mapped anew" in warning for warning in found.warnings)
 
 
+@in_whole_run
 def test_a_model_grows_from_another_folder_of_images(work, rendered):
     """The further images are in a new folder, with copies of the earlier ones."""
     found = reconstruct(rendered, work / "out", grow=True)

@@ -18,6 +18,7 @@ from epipole.pipelines.sfm.mappers.joining import _similarity
 from epipole.pipelines.sfm.matching import match_stage
 from epipole.pipelines.sfm.merge import _free_name, _notes_on_scale, _Part
 from epipole.runs import cluster
+from whole import in_whole_run
 
 VIEWS = neighboring_views(8)
 FIRST, SECOND = np.arange(5), np.arange(3, 8)
@@ -60,6 +61,7 @@ def test_two_models_become_one_in_the_coordinates_of_the_first(parts, tmp_path, 
     assert np.abs(off).max() < 0.01 * np.linalg.norm(np.ptp(before.camera_centers_in_world(), axis=0))
 
 
+@in_whole_run
 def test_the_merged_model_is_a_workspace(parts, tmp_path):
     result = merge([parts / "first", parts / "second"], tmp_path / "out")
     assert {p.name for p in (result.out / "images").iterdir()} == {p.name for p in (parts / "all").iterdir()}
@@ -67,6 +69,7 @@ def test_the_merged_model_is_a_workspace(parts, tmp_path):
     assert again.model.is_registered().sum() == 8
 
 
+@in_whole_run
 def test_models_are_merged_on_a_cluster(parts, tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "FIRST_WORKER_S", 0.4)
     with pytest.raises(WorkspaceError, match="no Dask scheduler answers"):
@@ -78,6 +81,7 @@ def test_models_are_merged_on_a_cluster(parts, tmp_path, monkeypatch):
         assert next(paths).read_bytes() == next(paths).read_bytes()
 
 
+@in_whole_run
 def test_different_files_of_one_name_are_both_kept(parts, tmp_path):
     """The photographs of the second model are renamed to names of the first."""
     shutil.copytree(parts / "second_images", tmp_path / "renamed")
@@ -125,6 +129,7 @@ def test_what_is_missing_is_named(parts, tmp_path):
         merge([first, tmp_path / "lost"], tmp_path / "out2")
 
 
+@in_whole_run
 def test_a_georeferenced_model_keeps_its_coordinates(parts, tmp_path):
     """Also if the images have GPS, which is less precise than control points."""
     from epipole.io.colmap.model import write_colmap_model

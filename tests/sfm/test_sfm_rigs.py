@@ -359,7 +359,7 @@ def write_pair_photographs(folder, rig_path, count=4, stated=0.3, meters_per_uni
     rig_path.write_text(json.dumps([{"cameras": [left, {"image_prefix": "right/", **pose, **known}]}]))
 
 
-@pytest.mark.parametrize(("stated", "is_used"), [(6.0, True), (600.0, False)])
+@pytest.mark.parametrize(("stated", "is_used"), [(600.0, False)] + IS_WHOLE * [(6.0, True)])
 def test_photographs_with_gps_and_a_rig_file_in_meters_and_in_centimeters(tmp_path, stated, is_used):
     write_pair_photographs(tmp_path / "photographs", tmp_path / "rig.json", 5, stated, meters_per_unit=20.0)
     result = reconstruct(tmp_path / "photographs", tmp_path / "out", rigs=tmp_path / "rig.json")

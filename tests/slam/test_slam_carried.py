@@ -24,7 +24,7 @@ from epipole.pipelines.slam.slam import Slam
 from epipole.scene import CameraRig, StereoRig
 from epipole.synthetic.inertial import imu_along
 from ros_messages import messages_of
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
 
@@ -230,6 +230,7 @@ def test_the_unit_of_the_map(ride, imu, before_dark):
     assert mono.meters_per_unit[0] == 1.98 and mono.meters_per_unit[1] > 0
 
 
+@in_whole_run
 def test_a_clock_that_is_late_is_found_and_corrected(ride, imu):
     system, _ = tracked(ride, later(imu, LATE_S), DARK[0])
     (note,) = system._camera_imu.notes()
@@ -240,7 +241,7 @@ def test_a_clock_that_is_late_is_found_and_corrected(ride, imu):
     assert system.gravity_in_world is not None
 
 
-@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("sign", [1] + IS_WHOLE * [-1])
 def test_the_pose_is_carried_whichever_clock_is_late(ride, imu, sign):
     """Frames before the offset was known count with it, too."""
     system, frames = Slam(ride.sensor("rgbd"), imu=later(imu, 0.15 * sign)), frames_of(ride, range(45, 50))
@@ -294,6 +295,7 @@ def test_a_gentle_ride_does_not_hide_the_sign_of_the_accelerations():
     assert not better_reading(times, poses(times), right, misfit, is_metric=True)
 
 
+@in_whole_run
 def test_the_map_goes_on_in_a_thread_too(ride, imu):
     system, answers = Slam(ride.sensor("rgbd"), imu=imu, mapping="thread"), []
     for frame in frames_of(ride)[: DARK[-1] + 3]:  # faster than a camera

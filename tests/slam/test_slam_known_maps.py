@@ -11,6 +11,7 @@ from epipole.pipelines.slam.loops.merging import join_maps
 from epipole.pipelines.slam.output.map_file import load_slam_map, write_slam_map
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.slam import Slam
+from whole import in_whole_run
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
 
@@ -78,6 +79,7 @@ def test_a_map_of_another_scene_is_left_out(ride, saved, tmp_path):
     assert len(load_slam_map(tmp_path / "out").keyframes) >= len(load_slam_map(saved / "first").keyframes)
 
 
+@in_whole_run
 def test_frames_join_maps_that_have_nothing_in_common(ride):
     maps = []
     for numbers in (range(0, 44, 4), range(124, 168, 4)):
@@ -114,6 +116,7 @@ def test_what_cannot_be_merged_is_refused(ride, saved, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@in_whole_run
 def test_maps_that_are_still_separate_are_compared_at_the_end(ride):
     """Both runs have seen frames 64 to 96; the only frame between them closes no loop, which needs three keyframes."""
     maps = []

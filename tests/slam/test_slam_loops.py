@@ -130,6 +130,7 @@ def test_one_camera_carried_to_a_known_place_is_found_there():
     assert len(slam.maps) == 1
 
 
+@in_whole_run
 @pytest.mark.parametrize("kind", ["rgbd", "mono"] if IS_WHOLE else ["rgbd"])
 def test_carried_off_and_back_then_walking_there_the_maps_become_one(kind):
     """The camera is in the first map when the places of the sub-map are seen again: the first one's world stays."""

@@ -22,6 +22,7 @@ from epipole.pipelines.slam.map.map_copy import MapCopy
 from epipole.pipelines.slam.mapping_thread import MOST_WAITING, Mapped
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.start import one_camera
+from whole import in_whole_run
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
 
@@ -327,6 +328,7 @@ def test_joined_maps_keep_the_motion_since_the_newest_keyframe(monkeypatch):
     assert slam.track(frames[n + 1]).has_pose
 
 
+@in_whole_run
 def test_loops_are_closed_on_the_copy():
     room = rendered("loop_room", 379, 6)
     slam = Slam(room.sensor("rgbd", 0.93), mapping="thread")

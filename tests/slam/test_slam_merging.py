@@ -10,6 +10,7 @@ from epipole.metrics import absolute_error
 from epipole.pipelines.slam.loops.merging import merge_maps
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.slam import Slam
+from whole import IS_WHOLE
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")
 
@@ -30,7 +31,7 @@ def ride():
     return rendered("loop_room", 168, 4)
 
 
-@pytest.mark.parametrize("kind", ["rgbd", "mono"])
+@pytest.mark.parametrize("kind", ["mono"] + IS_WHOLE * ["rgbd"])
 def test_two_runs_that_share_a_part_of_the_room_become_one_map(ride, kind):
     first, second = map_of(ride, kind, FIRST), map_of(ride, kind, SECOND)
     points, poses = first.xyz.copy(), [k.cam_from_world.log() for k in second.keyframes]

@@ -22,7 +22,7 @@ from epipole.pipelines.slam.output.resuming import STARTED_AGAIN
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame
 from epipole.pipelines.slam.start import one_camera
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 WRITTEN = ("trajectory.txt", "trajectory_causal.txt", "trajectory_covariance.txt", "map/map.npz")
 
@@ -89,7 +89,7 @@ def test_frames_that_can_be_read_again_are_tracked_again(options, source):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL there")
-@pytest.mark.parametrize("mapping", ["inline", "thread"])
+@pytest.mark.parametrize("mapping", ["inline"] + IS_WHOLE * ["thread"])
 def test_a_killed_process_leaves_its_trajectory(tmp_path, mapping):
     folder, out = write_pairs(tmp_path / "ride", 12), tmp_path / "out"
     command = [sys.executable, "-m", "epipole", "slam", str(folder), str(out), "--mapping", mapping]
@@ -218,6 +218,7 @@ def test_a_folder_of_someone_elses_is_left_alone(source):
         run_slam(position / "ride", position / "fresh")
 
 
+@in_whole_run
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to itself there")
 def test_ctrl_c_in_the_last_adjustment(source):
     """It is counted, and can be ended: what there is is written, and the rest can be made up for."""

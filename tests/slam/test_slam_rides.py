@@ -15,6 +15,7 @@ from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.slam import Slam
 from epipole.pipelines.slam.tracking.frame_quality import FrameQuality
 from epipole.pipelines.slam.tracking.points import parallax_px
+from whole import IS_WHOLE
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +124,7 @@ def test_a_blank_wall_gives_no_begin():
         assert "blank" in answers[-1].reason
 
 
-@pytest.mark.parametrize("kind", ["rgbd", "stereo"])
+@pytest.mark.parametrize("kind", ["stereo"] + IS_WHOLE * ["rgbd"])
 def test_only_parallax_may_make_keyframes(rides, kind):
     slam, answers = tracked(ride().frames(kind), CAMERAS[kind], SlamConfig(keyframe_rotation=False))
     assert all(a.state is TrackingState.TRACKING for a in answers)

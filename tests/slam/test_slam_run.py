@@ -15,7 +15,7 @@ from epipole.metrics import absolute_error, associate
 from epipole.pipelines.slam.output.scene import scene as scene_of
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.scene import Trajectory
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
 
@@ -146,6 +146,7 @@ def test_a_resting_drone_rests(data_dir, tmp_path):
     assert result.summary["truth"]["final"]["rigid"]["ate_rmse"] < 5e-4
 
 
+@in_whole_run
 def test_a_mesh_of_an_earlier_run_does_not_stay(data_dir, tmp_path):
     source = data_dir / "slam" / "kitti06_stereo"
     with_mesh = run_slam(source, tmp_path / "out", mesh=True, max_frames=4)

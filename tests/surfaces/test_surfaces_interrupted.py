@@ -18,12 +18,14 @@ from epipole.io.meshes.gltf import read_glb
 from epipole.io.meshes.mesh_ply import read_mesh_ply
 from epipole.io.meshes.ply import read_points_ply
 from epipole.scene import Georeference
+from whole import IS_WHOLE, in_whole_run
 
 OPTIONS = {"max_size_px": 192, "texture_px": 1024, "until": "survey"}
 KILLED = """
 import os, signal, sys
 from epipole import surface
 import {module} as module
+from whole import IS_WHOLE, in_whole_run
 
 def killed(path, *args, **options):
     with open(path, "wb") as file:
@@ -78,6 +80,7 @@ def check_same(out, whole):
     np.testing.assert_array_equal(found.textures[0], wanted.textures[0])
 
 
+@in_whole_run
 def test_a_run_killed_in_each_stage_leaves_whole_files_and_continues(scene, whole, tmp_path):
     out = tmp_path / "out"
     for module, function, complete in STAGES:
@@ -94,7 +97,7 @@ def test_a_run_killed_in_each_stage_leaves_whole_files_and_continues(scene, whol
     assert not [path for path in files if path.read_bytes() == b"half a file"]
 
 
-@pytest.mark.parametrize(("module", "function", "complete"), STAGES)
+@pytest.mark.parametrize(("module", "function", "complete"), STAGES if IS_WHOLE else STAGES[-1:])
 def test_a_full_disk_is_named_and_the_next_run_continues(
     scene, whole, tmp_path, monkeypatch, module, function, complete
 ):

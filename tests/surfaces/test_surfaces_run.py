@@ -42,6 +42,7 @@ from epipole.pipelines.surfaces.inputs import cropped_notes
 from epipole.pipelines.surfaces.scene import scene as viewer_scene
 from epipole.pipelines.surfaces.view_files import ViewFile, pinhole_of, shown_fraction
 from epipole.runs import overwriting
+from whole import in_whole_run
 
 VIEWS = 8
 
@@ -182,6 +183,7 @@ def test_the_depth_of_each_image_is_listed_with_its_camera(done, scene):
     assert cameras.load_depth("no such image") is None
 
 
+@in_whole_run
 def test_a_cluster_gives_the_same_bytes(scene, tmp_path):
     pytest.importorskip("distributed")
     options = {"until": "cloud", "max_size_px": 128}
@@ -331,6 +333,7 @@ def test_nearly_opaque_pixels_and_images_without_a_mask(scene, tmp_path):
     assert any(f"masks for 1 of {VIEWS} images" in warning for warning in found.warnings)
 
 
+@in_whole_run
 def test_an_unreadable_image_is_left_out_and_said(scene, tmp_path):
     source = copied(scene, tmp_path / "source")
     (source / "images" / scene.names[2]).write_bytes(b"nothing")

@@ -19,6 +19,7 @@ from epipole.io.survey.coordinate_systems import is_in_area_of_use, lat_lon_alt_
 from epipole.pipelines.surfaces.survey_stage import notes_on_cells
 from epipole.scene import Georeference
 from epipole.scene.textured_mesh import TexturedMesh
+from whole import in_whole_run
 
 ORIGIN = Georeference(48.2, 11.6, 520.0)
 UTM = "EPSG:32632"
@@ -152,6 +153,7 @@ def test_a_model_without_a_position_is_refused_before_the_work(source, tmp_path)
     assert not (tmp_path / "out" / "units" / "depth").exists()
 
 
+@in_whole_run
 def test_the_ground_sampling_distance_is_that_of_the_images(done, source, tmp_path):
     found = surface(source.folder, tmp_path / "out", until="survey", texture_px=1024, max_size_px=192)
     assert found.summary["gsd_m"] == pytest.approx(done.summary["gsd_m"], rel=0.1)
