@@ -10,6 +10,7 @@ from epipole.dense import estimate_depth, fuse_depths, mesh_depths, texture_from
 from epipole.dense.texturing.rendering import render_textured
 from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3
+from whole import in_whole_run
 
 ROWS = tuple(range(6, 13))
 
@@ -27,6 +28,7 @@ def depths(given):
     return estimate_depth(*given, RANGE, num_sources=4)
 
 
+@in_whole_run
 def test_images_become_depth_points_a_mesh_and_a_texture(given, depths):
     images, cameras, poses = given
     truth = [rendered()[1][k] for k in ROWS]

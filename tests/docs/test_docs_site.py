@@ -14,14 +14,11 @@ from whole import IS_WHOLE
 REPOSITORY = Path(__file__).parents[2]
 BUILT = REPOSITORY / "build" / "site"
 SAMPLE = [
-    ("index.html", "light"),
     ("slam.html", "dark"),
-    ("when_it_fails.html", "light"),
-    ("tutorials/01_project_a_point.html", "dark"),
+    ("tutorials/01_project_a_point.html", "light"),
     ("commands/reconstruct.html", "light"),
-    ("results/slam.html", "dark"),
 ]
-"""A page of each kind; all of them in both themes in the whole run."""
+"""Pages of most kinds; all of them in both themes in the whole run."""
 
 
 def is_current(site: Path) -> bool:
@@ -60,8 +57,9 @@ def test_pages_are_readable(site: Path, tab: Any) -> None:
         for size in (DESK, PHONE):
             tab.set_viewport_size(size)
             tab.goto((site / name).as_uri())
-            check_accessibility(tab, with_contrast=IS_WHOLE)
             check_nothing_cut(tab, name)
+            if size == DESK or IS_WHOLE:
+                check_accessibility(tab, with_contrast=IS_WHOLE)
             if size == DESK:  # the colors of a phone are the same
                 check_contrast(tab, name, 0)
     assert not tab.problems

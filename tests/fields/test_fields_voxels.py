@@ -20,6 +20,7 @@ from epipole.geometry import Rigid3
 from epipole.scene.gaussian_cloud import DC
 from epipole.synthetic import look_at
 from kernel_references import reference_of
+from whole import in_whole_run
 
 SEEN = look_at((0.4, -3.0, 0.5), (0, 0, 0))
 SMALL = Camera("PINHOLE", 9, 7, [12.0, 12.0, 4.0, 3.0])
@@ -160,6 +161,7 @@ def trained(steps, threads=None, seed=0):
     return trainer
 
 
+@in_whole_run
 def test_views_that_were_held_out_are_drawn():
     trainer = trained(60)
     for view in views()[:2]:

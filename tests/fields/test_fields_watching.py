@@ -20,6 +20,7 @@ from epipole.viewer.live import LiveScene
 from epipole.viewer.page_server import PageServer, fixed
 from epipole.viewer.ports import port_for
 from epipole.viewer.requested_views import RequestedViews
+from whole import in_whole_run
 
 FINAL = "document.documentElement.dataset.live === 'final'"
 BLOBS = {"sh_degree": 0, "max_gaussians": 300, "steps": 30}
@@ -153,6 +154,7 @@ def test_a_page_renders_the_gaussians_as_they_are_trained(source, tmp_path, tab)
     watched(splat, source, tmp_path / "out", BLOBS, descriptor, tab)
 
 
+@in_whole_run
 def test_a_field_is_rendered_for_the_viewpoint_of_the_tab(source, tmp_path, tab):
     def descriptor(result):
         o = tab.value("space.then(s => s.view.basis().o)")

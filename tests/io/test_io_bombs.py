@@ -14,7 +14,7 @@ from whole import IS_WHOLE
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is limited as on Linux")
 
 Read = Callable[..., str]
-SLOW = ("MCAP of zstd that says its size", "ROS 1 of lz4")
+SLOW = ("MCAP of zstd that says its size", "MCAP of lz4", "ROS 1 of lz4")
 """Of the whole run: seconds each, by decompressors that other files are unpacked with in every run."""
 
 

@@ -18,6 +18,7 @@ from textured_meshes import BLUE, GREEN, RED, UTM, WHITE, color_at, corner_mesh,
 from epipole.errors import ConfigError, MissingDependencyError, ShapeError, WorkspaceError
 from epipole.io.meshes.usd import require_usd, write_usd
 from epipole.scene import TexturedMesh
+from whole import IS_WHOLE
 
 
 def opened(path: Path) -> Usd.Stage:
@@ -268,7 +269,7 @@ except WorkspaceError as error:
 
 
 @pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="no limit of file sizes")
-@pytest.mark.parametrize("suffix", ["usdz", "usdc"])
+@pytest.mark.parametrize("suffix", ["usdc"] + IS_WHOLE * ["usdz"])
 def test_a_full_disk_leaves_no_file(tmp_path: Path, suffix: str) -> None:
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(tmp_path / f"a.{suffix}")], capture_output=True, text=True

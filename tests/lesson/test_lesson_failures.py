@@ -27,7 +27,8 @@ def rms_cm(positions, truth):
 
 def test_a_replay_shows_what_was_recorded(tab):
     tab.open("10_failures.html")
-    for failure in sorted(RECORD.keys() - {"kitchen"}):
+    failures = sorted(RECORD.keys() - {"kitchen"})
+    for failure in failures if IS_WHOLE else failures[::3]:
         tab.page.check(f"input[name=failure][value={failure}]")
         check_replays(tab, failure)
 

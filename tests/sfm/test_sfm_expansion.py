@@ -11,6 +11,7 @@ from epipole.pipelines.sfm.config import PairingConfig
 from epipole.pipelines.sfm.matching.expansion import CONNECTED, STRONG, neighbors_of_neighbors, unconnected
 from epipole.pipelines.sfm.matching.pairing import method_of
 from mapping_graphs import graph_of_rotations
+from whole import IS_WHOLE
 
 
 def graph(pairs: dict[tuple[int, int], int]):
@@ -88,7 +89,7 @@ def test_rounds_have_folders_that_continue_and_disappear(rendered: Path, tmp_pat
     assert not [*work.glob("matches-*"), *work.glob("geometry-*")]
 
 
-@pytest.mark.parametrize("method", ["exhaustive", "sequential"])
+@pytest.mark.parametrize("method", ["sequential"] + IS_WHOLE * ["exhaustive"])
 def test_pairs_of_other_methods_are_not_expanded(few: Path, tmp_path: Path, method: str) -> None:
     found = reconstruct(few, tmp_path / "out", pairing=PairingConfig(method=method, overlap=1))
     assert "expand" not in found.timings_s

@@ -170,7 +170,7 @@ def with_false_pairs(truth, graph, rng, fraction=0.3):
     return [np.concatenate(k) for k in keypoints], mixed, np.array([pairs[p][3] for p in order])
 
 
-@pytest.mark.parametrize("seed", range(20) if IS_WHOLE else range(2))
+@pytest.mark.parametrize("seed", range(20 if IS_WHOLE else 1))
 @pytest.mark.parametrize("method", ["global", "incremental"])
 def test_pairs_that_look_alike_spoil_no_model(seed, method):
     """Three of ten verified pairs show different things, each with matches that agree on one wrong motion."""

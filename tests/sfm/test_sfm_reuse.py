@@ -82,6 +82,7 @@ def pair_files(out: Path) -> list[Path]:
     return [*(out / "work" / "matches").iterdir(), *(out / "work" / "geometry").iterdir()]
 
 
+@in_whole_run
 def test_one_picture_more_before_all_others(
     work: Counts, images: Path, rendered: Path, tmp_path: Path
 ) -> None:
@@ -143,6 +144,7 @@ def test_the_same_pictures_copied_again(work: Counts, images: Path, tmp_path: Pa
     assert_same_files(out, tmp_path / "first")
 
 
+@in_whole_run
 def test_another_option_and_back_leaves_no_files_behind(work: Counts, images: Path) -> None:
     out = images.parent / "out"
 

@@ -9,7 +9,7 @@ from epipole.metrics import absolute_error
 from epipole.pipelines.slam.frames import Frame, TrackingState
 from epipole.pipelines.slam.output.warnings import warnings
 from epipole.pipelines.slam.slam import Slam
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 pytestmark = pytest.mark.usefixtures("unchecked_module")  # long rides; others have had the types checked
 
@@ -99,6 +99,7 @@ def test_a_camera_at_rest_stays_within_two_millimeters():
     assert np.linalg.norm(slam.trajectory().world_from_body.translation, axis=1).max() < 2e-3
 
 
+@in_whole_run
 @pytest.mark.parametrize("kind", ["rgbd"] + IS_WHOLE * ["mono"])
 def test_the_same_path_on_one_thread_and_on_two(kind):
     """A sub-map and a camera that is found again among it: to the last bit."""

@@ -13,6 +13,7 @@ from epipole.io import read_trajectory
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.synthetic import SyntheticScene, courtyard, render
 from epipole.synthetic.markers import chessboard_sheet, tag_sheet
+from whole import IS_WHOLE, in_whole_run
 
 COUNT = 24
 TAG, BOARD, SQUARE = (-0.5, 1.6, 1.75), (0.8, 1.5, 1.4), 0.15
@@ -64,6 +65,7 @@ def test_a_tag(images, cams_from_world, tmp_path, capsys):
     assert "scale meters, from tag 7" in shown and "not meters" not in shown
 
 
+@in_whole_run
 @pytest.mark.usefixtures("unchecked")
 def test_a_chessboard(images, cams_from_world, tmp_path):
     run_slam(images, tmp_path, board="6x4", square_m=SQUARE, **GIVEN)
@@ -88,8 +90,8 @@ def test_a_length_clicked_in_two_pictures(images, cams_from_world, tmp_path):
     ("known", "words"),
     [
         ({"tag_size_m": 0.5, "tag_family": "25h9"}, "no 25h9 tag was detected in the "),
-        ({"board": "9x7", "square_m": 0.1}, "the board of 9x7: it was detected in none of the "),
-    ],
+    ]
+    + IS_WHOLE * [({"board": "9x7", "square_m": 0.1}, "the board of 9x7: it was detected in none of the ")],
 )
 def test_what_is_not_in_the_scene_leaves_the_path_up_to_scale(images, tmp_path, known, words):
     result = run_slam(images, tmp_path, **known, **GIVEN)

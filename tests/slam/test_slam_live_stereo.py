@@ -17,6 +17,7 @@ from epipole.pipelines.slam.config import CameraOptions
 from epipole.pipelines.slam.run import slam as run_slam
 from epipole.pipelines.slam.sources import live_cameras
 from epipole.pipelines.slam.sources.live_cameras import CameraPair, camera_indices, open_cameras
+from whole import in_whole_run
 
 COUNT = 12
 
@@ -114,6 +115,7 @@ def test_without_time_stamps_of_the_driver_the_clock_measures():
         assert [("9 ms" in note) for note in both.notes()] == [True] * is_said
 
 
+@in_whole_run
 def test_a_camera_delivers_both_images_side_by_side(tmp_path, rig_file, monkeypatch):
     images = [np.hstack([left, right]) for left, right in zip(ride().left, ride().right)]
     camera = FakeCamera("both", [images[0], *images[:COUNT]], [])

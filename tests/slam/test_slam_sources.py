@@ -28,7 +28,7 @@ from epipole.pipelines.slam.sources import live_cameras
 from epipole.pipelines.slam.sources.folder import FrameSource, QueuedFrame, of_pair
 from epipole.pipelines.slam.sources.frame_stream import Clock, FrameStream
 from epipole.scene import StereoRig
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 PARAMS = ",".join(str(p + 0.5 * (n >= 2)) for n, p in enumerate(CAMERA.params))
 KNOWN = {"camera_params": PARAMS}
@@ -347,6 +347,7 @@ def test_ctrl_c_twice_stops_at_once(folder, tmp_path):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
+@in_whole_run
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT to itself there")
 @pytest.mark.usefixtures("heeding")
 def test_the_command_tells_that_it_was_stopped(folder, tmp_path, capsys, monkeypatch):

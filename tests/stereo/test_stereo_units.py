@@ -11,6 +11,7 @@ from epipole.pipelines.stereo.config import StereoConfig
 from epipole.pipelines.stereo.run import stereo_many
 from epipole.scene import RectifiedRig
 from epipole.synthetic.stereo_rooms import stereo_room
+from whole import in_whole_run
 
 CONFIG = StereoConfig(max_disparity_px=40)
 
@@ -90,6 +91,7 @@ def test_an_interrupted_run_continues(
     assert contents(out) == whole
 
 
+@in_whole_run
 def test_a_cluster_writes_the_same_files(
     folders: Path, whole: dict[str, bytes], capsys: pytest.CaptureFixture[str]
 ) -> None:

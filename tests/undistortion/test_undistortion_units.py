@@ -12,6 +12,7 @@ from epipole.io import write_colmap_model
 from epipole.pipelines.undistortion import run
 from epipole.pipelines.undistortion.run import undistort
 from io_models import mappable_model
+from whole import in_whole_run
 
 
 @pytest.fixture
@@ -54,6 +55,7 @@ def test_an_interrupted_run_continues(workspace: Path, monkeypatch: pytest.Monke
     assert [path.name for path in (workspace / "out" / "units").iterdir()] == ["notes.txt"]
 
 
+@in_whole_run
 def test_a_cluster_writes_the_same_files(workspace: Path) -> None:
     pytest.importorskip("distributed")
     whole = contents(undistort(workspace, target=workspace / "whole"))
