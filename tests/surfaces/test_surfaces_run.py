@@ -149,14 +149,14 @@ def test_the_same_options_give_the_same_bytes_from_depth_ins(scene, done, monkey
 
 
 def test_it_ends_at_the_requested_stage(scene, tmp_path):
-    found = surface(scene.folder, tmp_path / "out", SurfaceConfig(until="cloud", max_size_px=192))
+    found = surface(scene.folder, tmp_path / "out", SurfaceConfig(until="cloud", max_size_px=128))
     assert (found.out / "cloud.ply").is_file() and not (found.out / "mesh.ply").exists()
     assert found.mesh is None and (found.out / "report.html").is_file()
     with pytest.raises(WorkspaceError, match=r"results of later stages \(cloud\)"):
-        surface(scene.folder, found.out, until="depth", max_size_px=192)
+        surface(scene.folder, found.out, until="depth", max_size_px=128)
     assert (found.out / "cloud.ply").is_file()
     with overwriting():
-        surface(scene.folder, found.out, until="depth", max_size_px=192)
+        surface(scene.folder, found.out, until="depth", max_size_px=128)
     assert not (found.out / "cloud.ply").exists()  # it may be of other depths
     with pytest.raises(ConfigError, match="is the output of `epipole surface`"):
         surface(found.out, tmp_path / "again")
@@ -212,12 +212,12 @@ def test_a_damaged_list_of_depths_is_named(done, tmp_path):
 
 
 def test_the_cloud_is_also_written_as_laz(scene, done, tmp_path):
-    out = surface(scene.folder, tmp_path / "out", until="cloud", max_size_px=192, laz=True).out
+    out = surface(scene.folder, tmp_path / "out", until="cloud", max_size_px=128, laz=True).out
     found, cloud = read_laz(out / "cloud.laz"), read_points_ply(out / "cloud.ply")
     assert found.crs is None and found.sigma is not None
     np.testing.assert_allclose(found.points, cloud.xyz, atol=1e-3)
     np.testing.assert_array_equal(found.rgb, cloud.rgb)
-    again = surface(scene.folder, out, until="cloud", max_size_px=192, crs="EPSG:32632")
+    again = surface(scene.folder, out, until="cloud", max_size_px=128, crs="EPSG:32632")
     assert not (out / "cloud.laz").exists()
     assert any("--crs has no effect" in warning for warning in again.warnings)
     with pytest.raises(ConfigError, match="laz needs the cloud"):
@@ -303,16 +303,16 @@ def test_masked_pixels_have_no_depth(scene, tmp_path):
         mask = np.full((256, 384, 3), 255, np.uint8)
         mask[:, :200] = 0
         write_png(masks / f"{name}.png", mask)
-    found = surface(scene.folder, tmp_path / "out", until="depth", masks=masks, max_size_px=192)
+    found = surface(scene.folder, tmp_path / "out", until="depth", masks=masks, max_size_px=128)
     assert found.summary["reasons"]["masked"] > 0.5 and found.summary["density"] < 0.5
     for name in scene.names:
         write_png(masks / f"{name}.png", np.zeros((256, 384, 3), np.uint8))
     with pytest.raises(DegenerateGeometryError, match=r"no pixel has a depth.*: masked \(100 %"):
-        surface(scene.folder, tmp_path / "nothing", until="depth", masks=masks, max_size_px=192)
+        surface(scene.folder, tmp_path / "nothing", until="depth", masks=masks, max_size_px=128)
     for name in scene.names:
         write_png(masks / f"{name}.png", np.full((128, 192, 3), 255, np.uint8))
     with pytest.raises(ConfigError, match=r"no mask for any image that is used .*192"):
-        surface(scene.folder, tmp_path / "half", masks=masks, max_size_px=192)
+        surface(scene.folder, tmp_path / "half", masks=masks, max_size_px=128)
     with pytest.raises(ConfigError, match="has no mask"):
         (tmp_path / "empty").mkdir()
         surface(scene.folder, tmp_path / "none", masks=tmp_path / "empty")
@@ -328,7 +328,7 @@ def test_nearly_opaque_pixels_and_images_without_a_mask(scene, tmp_path):
         (source / "images" / name).write_bytes(png.tobytes())
     masks.mkdir()
     write_png(masks / f"{scene.names[0]}.png", np.full((256, 384, 3), 255, np.uint8))
-    found = surface(source, tmp_path / "out", until="depth", masks=masks, max_size_px=192)
+    found = surface(source, tmp_path / "out", until="depth", masks=masks, max_size_px=128)
     assert found.summary["density"] > 0.5 and found.summary["reasons"]["masked"] < 0.05
     assert any(f"masks for 1 of {VIEWS} images" in warning for warning in found.warnings)
 
@@ -337,7 +337,7 @@ def test_nearly_opaque_pixels_and_images_without_a_mask(scene, tmp_path):
 def test_an_unreadable_image_is_left_out_and_said(scene, tmp_path):
     source = copied(scene, tmp_path / "source")
     (source / "images" / scene.names[2]).write_bytes(b"nothing")
-    found = surface(source, tmp_path / "out", until="depth", max_size_px=192)
+    found = surface(source, tmp_path / "out", until="depth", max_size_px=128)
     assert found.summary["num_images"] == VIEWS - 1
     assert any(scene.names[2] in warning for warning in found.warnings)
 
@@ -347,7 +347,7 @@ def test_truncated_images_are_left_out_unless_too_few_remain(scene, tmp_path):
     for name in scene.names[2:4]:
         content = (scene.folder / "images" / name).read_bytes()
         (source / "images" / name).write_bytes(content[: len(content) // 2])
-    found = surface(source, tmp_path / "out", until="depth", max_size_px=192)
+    found = surface(source, tmp_path / "out", until="depth", max_size_px=128)
     assert found.summary["num_images"] == VIEWS - 2
     for name in scene.names[2:4]:
         assert any(
@@ -357,10 +357,10 @@ def test_truncated_images_are_left_out_unless_too_few_remain(scene, tmp_path):
         content = (scene.folder / "images" / name).read_bytes()
         (source / "images" / name).write_bytes(content[: len(content) // 2])
     with pytest.raises(NoModelError, match=r"1 images can be used, .* is left out: .*truncated"):
-        surface(source, tmp_path / "out", until="depth", max_size_px=192)
+        surface(source, tmp_path / "out", until="depth", max_size_px=128)
     shutil.rmtree(source / "images")
     shutil.copytree(scene.folder / "images", source / "images")
-    assert surface(source, tmp_path / "out", until="depth", max_size_px=192).summary["num_images"] == VIEWS
+    assert surface(source, tmp_path / "out", until="depth", max_size_px=128).summary["num_images"] == VIEWS
 
 
 def test_views_at_one_position_have_no_surface(scene, tmp_path):
@@ -418,7 +418,7 @@ def test_points_without_observations_are_projected_into_the_images(scene, small,
 
 
 def test_the_command_prints_what_it_wrote(scene, tmp_path, capsys):
-    main(["surface", str(scene.folder), str(tmp_path / "out"), "--until", "cloud", "--max-size-px", "192"])
+    main(["surface", str(scene.folder), str(tmp_path / "out"), "--until", "cloud", "--max-size-px", "128"])
     printed = "".join(capsys.readouterr().out.split())
     assert "points" in printed and "cloud.ply" in printed
 
