@@ -42,7 +42,6 @@ DAILY = (
     "calibration-1",
     "command_line-0",
     "command_line-1",
-    "fields-1",
     "first_model-2",
     "install-0",
     "install-1",

@@ -8,8 +8,13 @@ from docs_pages import PAGES, blocks_of
 from docs_setups import IN_PLACE, PREPARED, two_views, usual
 
 from epipole import api
+from whole import IS_WHOLE
 
 WITH_CODE = [name for name, path in PAGES.items() if blocks_of(path, "python", "py")]
+
+
+LONG = {"surfaces"}
+"""Pages whose code runs in the whole run only."""
 
 
 def names_for(page: str, folder: Path, reconstructed: Path) -> dict[str, Any]:
@@ -18,7 +23,7 @@ def names_for(page: str, folder: Path, reconstructed: Path) -> dict[str, Any]:
     return PREPARED[page](folder) if page in PREPARED else usual(folder, reconstructed)
 
 
-@pytest.mark.parametrize("page", WITH_CODE)
+@pytest.mark.parametrize("page", WITH_CODE if IS_WHOLE else sorted({*WITH_CODE} - LONG))
 def test_python_of_the_pages_runs(
     page: str, reconstructed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unchecked: None
 ) -> None:

@@ -16,7 +16,8 @@ FOLDER = Path(__file__).resolve().parents[2] / "examples"
 EXAMPLES = sorted(FOLDER.glob("*.py"))
 TRAINING = ("12_gaussian_splats", "13_radiance_field")
 """Trainings for longer than what the tests of fields train; these run in the whole run."""
-QUICK = [path for path in EXAMPLES if path.stem not in TRAINING]
+LONG = ("08_calibrate_a_camera", "10_slam_frame_by_frame")
+QUICK = [path for path in EXAMPLES if path.stem not in (*TRAINING, *LONG)]
 LONGEST_S = 300
 """With kernels that are not compiled yet; each takes a few seconds with them."""
 

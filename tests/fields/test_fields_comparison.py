@@ -9,6 +9,7 @@ from fields_scenes import views
 from epipole.errors import ConfigError, FileFormatError
 from epipole.io.images.photographs import read_rgb
 from epipole.pipelines.fields.comparison import compare_fields
+from whole import in_whole_run
 
 
 def test_both_are_trained_and_drawn(source, tmp_path):
@@ -31,6 +32,7 @@ def test_both_are_trained_and_drawn(source, tmp_path):
     )
 
 
+@in_whole_run
 @pytest.mark.usefixtures("small_hash")
 def test_without_held_out_views_those_of_the_training_are_compared(source, tmp_path):
     result = compare_fields(source, tmp_path / "out", test_every=0, steps=2, kind="hash")

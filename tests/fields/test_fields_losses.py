@@ -12,6 +12,7 @@ from epipole.io.models.losses import losses_in
 from epipole.io.models.transforms import read_transforms
 from epipole.pipelines.fields import training
 from epipole.pipelines.fields.comparison import compare_fields
+from whole import in_whole_run
 
 SUMMARY = {
     "warnings": ["3 of 17 images are in no model"],
@@ -57,6 +58,7 @@ def test_a_training_says_what_the_reconstruction_it_chained_has_lost(workspace, 
     assert holds_all(page) and "x<b>" not in page
 
 
+@in_whole_run
 def test_so_does_one_of_a_finished_reconstruction(workspace, tmp_path):
     found = nerf(workspace, tmp_path / "out", steps=2, kind="grid")
     assert holds_all("\n".join(found.warnings)) and len(found.warnings) == len(set(found.warnings))

@@ -11,6 +11,7 @@ from epipole.cli.main import main
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, NoModelError, ShapeError
 from epipole.io.meshes.mesh_ply import first_view_of_mesh, write_mesh_ply
 from epipole.scene import Mesh
+from whole import IS_WHOLE
 
 
 def test_files_hold_the_triangles(tmp_path):
@@ -27,7 +28,7 @@ def test_files_hold_the_triangles(tmp_path):
     assert not (tmp_path / "b.ply").exists()
 
 
-@pytest.mark.parametrize("kind", ["splat", "grid"])
+@pytest.mark.parametrize("kind", ["splat"] + IS_WHOLE * ["grid"])
 def test_a_trained_field_has_a_surface(source, tmp_path, kind):
     if kind == "splat":
         splat(source, tmp_path / "out", steps=80, max_gaussians=500, test_every=0)

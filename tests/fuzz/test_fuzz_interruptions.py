@@ -11,11 +11,9 @@ import pytest
 from whole import IS_WHOLE, in_whole_run
 
 JOBS = (
-    "undistort",
     "ply",
     "stereo",
-    "calibrate",
-    *(("transforms", "slam", "reconstruct") if IS_WHOLE else ()),
+    *(("undistort", "calibrate", "transforms", "slam", "reconstruct") if IS_WHOLE else ()),
 )
 """Transforms are a conversion, as a cloud of points is; killed and resumed runs of the longer two are tested with their own jobs."""
 POINTS = 6 if IS_WHOLE else 2

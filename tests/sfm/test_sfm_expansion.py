@@ -11,7 +11,7 @@ from epipole.pipelines.sfm.config import PairingConfig
 from epipole.pipelines.sfm.matching.expansion import CONNECTED, STRONG, neighbors_of_neighbors, unconnected
 from epipole.pipelines.sfm.matching.pairing import method_of
 from mapping_graphs import graph_of_rotations
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 
 def graph(pairs: dict[tuple[int, int], int]):
@@ -74,6 +74,7 @@ def test_the_method_of_pairing_fits_the_images() -> None:
     assert method_of(gps, PairingConfig(method="retrieval"), is_video=True) == "retrieval"
 
 
+@in_whole_run
 def test_rounds_have_folders_that_continue_and_disappear(rendered: Path, tmp_path: Path) -> None:
     """With two neighbors each, the six images need further rounds until all pairs that overlap are verified."""
     pairing = PairingConfig(method="retrieval", neighbors=2)

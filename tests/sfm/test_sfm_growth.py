@@ -55,6 +55,7 @@ def test_further_images_are_registered_in_the_same_coordinates(grown, reconstruc
     assert np.linalg.norm(difference, axis=1).max() < 0.005 * np.linalg.norm(np.ptp(fresh, axis=0))
 
 
+@in_whole_run
 def test_only_pairs_with_further_images_are_matched(work, monkeypatch):
     matched = []
     plain = match_stage.match_pair

@@ -1,5 +1,7 @@
 """Several known maps: merged where they show a common area, joined by frames, or left out with the reason."""
 
+from copy import deepcopy
+
 import cv2
 import numpy as np
 import pytest
@@ -23,22 +25,32 @@ def ride():
     return rendered("loop_room", 168, 4)
 
 
+def map_of(seen, kind, numbers):
+    """The map of a run through these frames."""
+    system = Slam(seen.sensor(kind))
+    for frame in seen.frames(kind, numbers):
+        system.track(frame)
+    system.finish()
+    return system.maps[0]
+
+
 @pytest.fixture(scope="module")
-def saved(ride, tmp_path_factory):
+def two_maps(ride):
+    """Maps of two runs with one camera, which no test changes."""
+    return [map_of(ride, "mono", numbers) for numbers in (FIRST, SECOND)]
+
+
+@pytest.fixture(scope="module")
+def saved(ride, two_maps, tmp_path_factory):
     """Maps of three runs with one camera, of which the last was in another scene, and images of a fourth run."""
     folder = tmp_path_factory.mktemp("maps")
     corridor = rendered("corridor", 60, 4)
-    for name, seen, numbers in (
-        ("first", ride, FIRST),
-        ("second", ride, SECOND),
-        ("corridor", corridor, range(0, 60, 4)),
+    elsewhere = map_of(corridor, "mono", range(0, 60, 4))
+    for name, seen, model in zip(
+        ("first", "second", "corridor"), (ride, ride, corridor), (*two_maps, elsewhere)
     ):
-        system = Slam(seen.sensor("mono"))
-        for frame in seen.frames("mono", numbers):
-            system.track(frame)
-        system.finish()
-        names = [f"{name}/{k.number}" for k in system.maps[0].keyframes]
-        write_slam_map(folder / name / "map.npz", system.maps[0], names, seen.sensor("mono"))
+        names = [f"{name}/{k.number}" for k in model.keyframes]
+        write_slam_map(folder / name / "map.npz", model, names, seen.sensor("mono"))
     (folder / "new").mkdir()
     for n in NEW:
         cv2.imwrite(str(folder / "new" / f"{n:03d}.png"), ride.images[n][0])
@@ -81,13 +93,7 @@ def test_a_map_of_another_scene_is_left_out(ride, saved, tmp_path):
 
 @in_whole_run
 def test_frames_join_maps_that_have_nothing_in_common(ride):
-    maps = []
-    for numbers in (range(0, 44, 4), range(124, 168, 4)):
-        system = Slam(ride.sensor("rgbd"))
-        for frame in ride.frames("rgbd", numbers):
-            system.track(frame)
-        system.finish()
-        maps.append(system.maps[0])
+    maps = [map_of(ride, "rgbd", numbers) for numbers in (range(0, 44, 4), range(124, 168, 4))]
     count = sum(len(model.keyframes) for model in maps)
     for keyframe in maps[1].keyframes:
         keyframe.number += 100
@@ -119,13 +125,7 @@ def test_what_cannot_be_merged_is_refused(ride, saved, tmp_path):
 @in_whole_run
 def test_maps_that_are_still_separate_are_compared_at_the_end(ride):
     """Both runs have seen frames 64 to 96; the only frame between them closes no loop, which needs three keyframes."""
-    maps = []
-    for numbers in (FIRST, SECOND):
-        system = Slam(ride.sensor("rgbd"))
-        for frame in ride.frames("rgbd", numbers):
-            system.track(frame)
-        system.finish()
-        maps.append(system.maps[0])
+    maps = [map_of(ride, "rgbd", numbers) for numbers in (FIRST, SECOND)]
     for keyframe in maps[1].keyframes:
         keyframe.number += 100
     first, second = (list(model.keyframes) for model in maps)
@@ -142,14 +142,8 @@ def test_maps_that_are_still_separate_are_compared_at_the_end(ride):
     assert any(len(points[0] & set(keyframe.point.tolist())) > 20 for keyframe in second)
 
 
-def test_maps_with_the_same_frame_numbers_get_others(ride):
-    maps = []
-    for numbers in (FIRST, SECOND):
-        system = Slam(ride.sensor("rgbd"))
-        for frame in ride.frames("rgbd", numbers):
-            system.track(frame)
-        maps.append(system.maps[0])
-    system = Slam(ride.sensor("rgbd"), known=maps)
+def test_maps_with_the_same_frame_numbers_get_others(ride, two_maps):
+    system = Slam(ride.sensor("mono"), known=deepcopy(two_maps))
     numbers = [keyframe.number for model in system.maps for keyframe in model.keyframes]
     assert len(set(numbers)) == len(numbers) and system.first_number == 1 + max(numbers)
 
@@ -160,19 +154,13 @@ def test_a_map_by_another_path_is_the_same(ride, saved, tmp_path):
         run_slam(saved / "new", tmp_path / "out", map=same, **given(ride))
 
 
-def test_joined_keyframes_of_a_rolling_shutter_move_in_the_common_unit(ride):
-    maps = []
-    for numbers, scale in ((FIRST, 1.0), (SECOND, 0.5)):
-        system = Slam(ride.sensor("mono"))
-        for frame in ride.frames("mono", numbers):
-            system.track(frame)
-        system.finish()
-        model = system.maps[0]
+def test_joined_keyframes_of_a_rolling_shutter_move_in_the_common_unit(ride, two_maps):
+    maps = deepcopy(two_maps)
+    for model, scale, further in zip(maps, (1.0, 0.5), (0, 100)):
         model.rescale(scale)
         for keyframe in model.keyframes:
             keyframe.motion = np.full(12, keyframe.unit)
-            keyframe.number += 100 * len(maps)
-        maps.append(model)
+            keyframe.number += further
     config = SlamConfig().odometry
     ledger = []
     assert not join_maps(*maps, ride.sensor("mono"), config, ledger)

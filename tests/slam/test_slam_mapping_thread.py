@@ -227,6 +227,7 @@ def test_with_many_keyframes_waiting_a_frame_waits_a_little(gate, monkeypatch):
         assert least <= time.monotonic() - start < most
 
 
+@in_whole_run
 def test_keyframes_become_rare_while_mapping_is_behind(gate):
     frames = rendered("loop_room", 120, 2).frames("rgbd")
     camera = rendered("loop_room", 120, 2).sensor("rgbd")

@@ -140,7 +140,8 @@ def test_the_trajectory_of_a_camera_is_kept(interval_s, source):
         assert absolute_error(path.world_from_body, truth, "none").position.rmse < 0.02
 
 
-@pytest.mark.parametrize("kind", ["rgbd", "mono"] if IS_WHOLE else ["mono"])
+@in_whole_run
+@pytest.mark.parametrize("kind", ["rgbd", "mono"])
 def test_other_cameras_are_continued_too(kind, source, monkeypatch):
     # The frame at which a map starts must not depend on the machine's load.
     monkeypatch.setattr(one_camera, "LONGEST_WAIT_S", 60.0)

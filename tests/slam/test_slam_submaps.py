@@ -90,6 +90,7 @@ def test_one_camera_is_in_maps_of_its_own_units():
         assert errors(slam, corridor().truth(), "similarity", number).position.rmse < 0.02
 
 
+@in_whole_run
 def test_a_map_that_is_never_joined_has_its_own_file(tmp_path):
     """The ride ends on the way: its parts are paths of their own, the longer one in the first file."""
     ride = corridor(200)

@@ -45,6 +45,7 @@ from epipole.runs import overwriting
 from whole import in_whole_run
 
 VIEWS = 8
+pytestmark = pytest.mark.usefixtures("unchecked_module")
 
 
 @pytest.fixture(scope="session")
