@@ -44,7 +44,7 @@ from epipole.pipelines.surfaces.view_files import ViewFile, pinhole_of, shown_fr
 from epipole.runs import overwriting
 from whole import in_whole_run
 
-VIEWS = 8
+VIEWS = 6
 pytestmark = pytest.mark.usefixtures("unchecked_module")
 
 

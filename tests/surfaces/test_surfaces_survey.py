@@ -23,6 +23,7 @@ from whole import in_whole_run
 
 ORIGIN = Georeference(48.2, 11.6, 520.0)
 UTM = "EPSG:32632"
+OPTIONS = {"until": "survey", "texture_px": 1024, "max_size_px": 256}
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +36,7 @@ def source(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def done(source, tmp_path_factory):
-    return surface(source.folder, tmp_path_factory.mktemp("out") / "out", until="survey", texture_px=1024)
+    return surface(source.folder, tmp_path_factory.mktemp("out") / "out", **OPTIONS)
 
 
 def enu(positions):
@@ -106,7 +107,7 @@ def test_products_can_be_cropped(done, source, tmp_path):
     with rasterio.open(out / "dsm.tif") as file:
         x, y = file.xy(file.height // 2, file.width // 2)
     crop = (x - 1.0, y - 0.75, x + 1.0, y + 0.75)
-    cropped = surface(source.folder, out, until="survey", texture_px=1024, crop=crop, contour_m=0.25)
+    cropped = surface(source.folder, out, **OPTIONS, crop=crop, contour_m=0.25)
     resolution = cropped.summary["resolution_m"]
     for name in ("dsm.tif", "dtm.tif", "orthophoto.tif"):
         with rasterio.open(out / name) as file:
@@ -123,7 +124,7 @@ def test_products_can_be_cropped(done, source, tmp_path):
         north,
     )  # some image could show it, but the surface is elsewhere
     with pytest.raises(ConfigError, match="nothing is inside the crop: the surface is from"):
-        surface(source.folder, out, until="survey", texture_px=1024, crop=beyond)
+        surface(source.folder, out, **OPTIONS, crop=beyond)
 
 
 def test_a_crop_elsewhere_and_too_many_contour_lines_are_refused_before_the_work(done, source, tmp_path):
@@ -155,7 +156,7 @@ def test_a_model_without_a_position_is_refused_before_the_work(source, tmp_path)
 
 @in_whole_run
 def test_the_ground_sampling_distance_is_that_of_the_images(done, source, tmp_path):
-    found = surface(source.folder, tmp_path / "out", until="survey", texture_px=1024, max_size_px=192)
+    found = surface(source.folder, tmp_path / "out", **{**OPTIONS, "max_size_px": 128})
     assert found.summary["gsd_m"] == pytest.approx(done.summary["gsd_m"], rel=0.1)
     assert found.summary["resolution_m"] > done.summary["resolution_m"]
 
