@@ -11,6 +11,7 @@ from epipole import nerf
 from epipole.pipelines.fields import surface_points as module
 from epipole.pipelines.fields.surface_points import scene_of_surface, surface_points
 from epipole.pipelines.fields.surfaces import Seen
+from whole import in_whole_run
 
 FIRST = {"position": [0.0, -3.0, -1.0], "look_at": [0.0, 0.0, 0.0], "up": [0.0, 0.0, 1.0]}
 RADIUS = 0.5
@@ -67,6 +68,7 @@ def test_a_slow_field_is_rendered_with_fewer_pixels(monkeypatch: pytest.MonkeyPa
     assert sum(sizes[1:]) < 1.2 * module.LEAST_PIXELS and CAMERA.width * CAMERA.height > max(sizes)
 
 
+@in_whole_run
 @pytest.mark.usefixtures("small_hash", "unchecked")
 def test_the_report_of_a_radiance_field_shows_its_surface(source, tmp_path) -> None:
     found = nerf(source, tmp_path / "out", test_every=7, steps=80, kind="grid")

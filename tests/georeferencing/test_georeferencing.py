@@ -22,7 +22,7 @@ from surveyed_flights import MARK_SIGMA_PX, NUM_CONTROL, ORIGIN, Flight, flight,
 from whole import IS_WHOLE
 
 CONFIG = GeoreferenceConfig(gcp=Path("gcp_list.txt"), mark_sigma_px=MARK_SIGMA_PX)
-SEEDS = 20 if IS_WHOLE else 6
+SEEDS = 20 if IS_WHOLE else 4
 
 
 @cache
