@@ -19,7 +19,7 @@ from epipole import _jit
 from epipole._jit import SAFE_FASTMATH, cache_folder, compile_seconds, kernel, storage
 from epipole._jit.linking import Kernel
 from epipole.pipelines.sfm.warm_up import warm_up
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 
 @kernel
@@ -182,6 +182,7 @@ def test_kernels_that_are_cut_short_are_compiled_again(tmp_path: Path, mode: str
     assert float(run_python(COMPILE, **env)) == 0.0
 
 
+@in_whole_run
 def test_kernels_of_a_type_that_was_moved_are_compiled_again(tmp_path: Path) -> None:
     """Unpickling their index fails, because the module that had the type of an argument lacks it now."""
     moved = (

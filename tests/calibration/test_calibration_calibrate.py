@@ -159,6 +159,7 @@ def test_a_healthy_calibration_passes_and_poor_ones_say_why():
     assert not verdict.passes and "views are used" in verdict.sentence
 
 
+@in_whole_run
 @pytest.mark.usefixtures("unchecked")
 def test_halves_that_disagree_widen_the_standard_deviations():
     """Where the model holds chance explains the halves' difference; where it does not, errors are as large as they say."""

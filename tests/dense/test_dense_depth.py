@@ -14,6 +14,7 @@ from epipole.errors import ConfigError, DegenerateGeometryError, ShapeError
 from epipole.geometry import Rigid3, Rotation3
 from epipole.scene.view_depth import DepthReason
 from kernel_references import assert_same_as_python, record_calls, reference_of
+from whole import in_whole_run
 
 REFERENCE, SOURCES = 10, (8, 9, 11, 12, 13)
 
@@ -66,6 +67,7 @@ def test_most_visible_pixels_are_right_and_few_are_wrong():
     assert (np.isfinite(found.depth) & ~np.isfinite(truth)).mean() < 0.02  # sky
 
 
+@in_whole_run
 def test_depth_does_not_depend_on_the_number_of_threads():
     reference, *sources = views(REFERENCE, *SOURCES)
     found = view_depth(reference, sources, RANGE)

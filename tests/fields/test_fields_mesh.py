@@ -11,7 +11,7 @@ from epipole.cli.main import main
 from epipole.errors import ConfigError, DegenerateGeometryError, FileFormatError, NoModelError, ShapeError
 from epipole.io.meshes.mesh_ply import first_view_of_mesh, write_mesh_ply
 from epipole.scene import Mesh
-from whole import IS_WHOLE
+from whole import IS_WHOLE, in_whole_run
 
 
 def test_files_hold_the_triangles(tmp_path):
@@ -47,6 +47,7 @@ def test_a_trained_field_has_a_surface(source, tmp_path, kind):
     assert len(again) > 200
 
 
+@in_whole_run
 def test_voxels_finer_than_the_pixels_are_filled(source, tmp_path):
     splat(source, tmp_path / "out", steps=30, max_gaussians=300, test_every=0)
     sharp, enlarged = (

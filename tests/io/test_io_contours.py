@@ -18,6 +18,7 @@ from epipole.io.survey.contours import (
     write_contours,
 )
 from epipole.io.survey.rasters import Raster
+from whole import in_whole_run
 
 UTM = {"x_min": 500_000.0, "y_max": 5_300_000.0, "resolution_m": 0.5, "crs": "EPSG:32632"}
 
@@ -238,6 +239,7 @@ except WorkspaceError as error:
 """
 
 
+@in_whole_run
 @pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="no limit of file sizes")
 def test_a_full_disk_leaves_no_file(tmp_path: Path) -> None:
     done = subprocess.run(

@@ -19,6 +19,7 @@ from epipole.errors import (
     WorkspaceError,
 )
 from epipole.io.survey.rasters import Raster, read_geotiff, write_geotiff
+from whole import in_whole_run
 
 UTM = {"x_min": 500_000.125, "y_max": 5_300_000.375, "resolution_m": 0.05, "crs": "EPSG:32632"}
 
@@ -237,6 +238,7 @@ except WorkspaceError as error:
 """
 
 
+@in_whole_run
 @pytest.mark.skipif(not hasattr(resource, "RLIMIT_FSIZE"), reason="no limit of file sizes")
 def test_a_full_disk_leaves_no_file(tmp_path: Path) -> None:
     done = subprocess.run(

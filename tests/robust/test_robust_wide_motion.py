@@ -12,6 +12,7 @@ from epipole.robust.pairs._relative_pose_kernels import RelativePoseProblem
 from epipole.robust.pairs._wide_motion_kernels import WideMotionProblem
 from epipole.robust.rays import is_wide, rays_on_plane
 from epipole.synthetic.problems import two_view_problem
+from whole import in_whole_run
 
 
 def wide_views(seed, half_deg, noise_px=1.0, outliers=0.3, count=800, baseline=1.0):
@@ -50,6 +51,7 @@ def test_a_wide_lens_keeps_its_rim(half_deg, bound_deg):
     assert min(fractions) > 0.9
 
 
+@in_whole_run
 def test_the_covariance_of_a_wide_lens_is_that_of_its_errors():
     squared = []
     for seed in range(120):

@@ -23,6 +23,7 @@ from epipole.pipelines.sfm.mappers.choice import map_with
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 from epipole.pipelines.sfm.mapping_stage import Mapped
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
+from whole import in_whole_run
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -131,6 +132,7 @@ def test_equal_walls_are_mapped_apart(rng):
     assert "of the points conflict" in found.contradicting.reason(0)
 
 
+@in_whole_run
 def test_three_equal_walls_are_mapped_apart(rng):
     _, folded = walls(rng, 3)
     graph = view_graph_of(folded)
