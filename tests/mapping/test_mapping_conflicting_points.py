@@ -7,8 +7,8 @@ import pytest
 
 from epipole.cameras import Camera, CameraModel
 from epipole.geometry import Rigid3
-from epipole.mapping import _conflict_kernels as kernels
 from epipole.mapping import ConflictingPoints, cluster_images, conflicting_points, find_conflicting_points
+from epipole.mapping import _conflict_kernels as kernels
 from epipole.scene import Cameras, Frames, Images, Points, Reconstruction, Rigs, Tracks
 from kernel_references import assert_same_as_python, record_calls, reference_of
 
@@ -94,7 +94,9 @@ def test_the_typical_fraction_of_conflicts_is_that_of_the_model(of_same):
     same, different = right.typical_fractions
     assert same >= 0.7 * min(of_same, 0.06) and different >= 3 * same
     assert not right.contradicts_model
-    assert wrong.contradicts_model and wrong.is_contradiction[120:].all() and (wrong.evidence[120:] < 0.0).all()
+    assert (
+        wrong.contradicts_model and wrong.is_contradiction[120:].all() and (wrong.evidence[120:] < 0.0).all()
+    )
 
 
 def test_a_model_of_many_like_things_is_in_doubt_although_few_of_its_pairs_show_the_same_thing():

@@ -67,7 +67,7 @@ def map_apart(
 ) -> Separation:
     """Map the images; while points of a model conflict, map them again without the pairs that hold it together.
 
-    If as large a part of the pairs conflicts in the end, these pairs were not what was wrong, and the first models are returned.
+    If as large a part of the pairs still conflicts, those pairs were not what was wrong, and the first models are returned.
 
     Args:
         view_graph: verified pairs.
