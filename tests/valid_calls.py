@@ -482,7 +482,7 @@ def _dead_reckoning(
         "world_from_imu": geometry.Rigid3.identity(),
         "velocity_in_world": np.zeros(3),
     }
-    yield _row(inertial.ImuMotion, **state, covariance=np.eye(18), calibration=calibration)
+    yield _row(inertial.ImuMotion, **state, covariance=np.eye(19), calibration=calibration)
 
 
 def _image(*channels: int) -> np.ndarray:
