@@ -14,7 +14,7 @@ from typing import Any
 
 import jaxtyping
 
-FIRST, EVERY = 10, 200
+FIRST, EVERY = 2, 1000
 """So many calls of a function are checked in each test, and of later ones every so-many-th."""
 _real: Any = jaxtyping.jaxtyped
 
