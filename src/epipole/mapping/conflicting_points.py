@@ -33,10 +33,10 @@ FRACTION_OF_SAME, FRACTION_OF_DIFFERENT = 0.01, 0.15
 photographs the median was 0 to 0.03 (0.07 in frames of a video, with short tracks); in five models of rendered scenes that show different
 things as one, 0 to 0.006 for pairs of the same thing and 0.13 to 0.5 for the others."""
 PART_OF_SAME, LARGEST_OF_SAME, TIMES_OF_SAME = 0.1, 0.06, 4.0
-"""Part of the judged pairs that show the same thing in any model, whose largest fraction of conflicts is that of the same thing in this
-model; the most that is believed of it; and how many times it pairs of different things have at least. Of blurred frames of a video that are all matched with each other, pairs of the same thing have conflicts
-in 5 to 20 % of their views: a right model of 325 frames was in doubt, and was mapped to ten wrong ones. In eight models of rendered
-scenes that show different things as one, a tenth of the pairs had at most 0.003."""
+"""Part of the judged pairs that show the same thing in any model; the most that their fraction of conflicts may be; and how many times
+as large that of different things is at least. In blurred frames of a video that are all matched with each other, the same thing has
+conflicts in 5 to 20 % of the views: a right model of 325 frames was in doubt, and was mapped to ten wrong ones. In seven models of
+rendered scenes that show different things as one, the tenth of the pairs with the fewest had at most 0.3 %."""
 MAX_CONTRADICTING, MIN_PAIRS = 0.18, 10
 """A model is in doubt if more of its judged pairs, and at least 10, have conflicts as images of different things. In the right models at most
 10 % had, in the others 24 to 76 %."""
