@@ -197,10 +197,7 @@ def test_what_cannot_be_calibrated_is_said():
         Rigid3(flat.rotation, flat.translation + np.array([0.02 * k, 0.01 * k, 0.0])) for k in range(6)
     ]
     frontal = views_of([LENS], [Rigid3(np.eye(3), np.zeros(3))], positions, BOARD, rng)
-    try:
-        found = calibrate_views(frontal, [SIZE], CONFIG)
-    except DegenerateGeometryError:
-        return
+    found = calibrate_views(frontal, [SIZE], CONFIG)
     assert not assess(found, cross_check(frontal, found)).passes
     assert found.params_sigma(0)[0] > 5.0  # parallel boards do not tell the focal length
 

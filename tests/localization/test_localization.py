@@ -176,8 +176,8 @@ def test_another_zoom_without_exif_is_noticed(workspace, photographs, views, tru
     again = epipole.localize(
         folder, without, tmp_path / "given", camera_model="SIMPLE_RADIAL", camera_params=given
     )
-    if again.num_localized:
-        assert any("contradict the given focal length" in warning for warning in again.warnings)
+    assert again.num_localized
+    assert any("contradict the given focal length" in warning for warning in again.warnings)
 
 
 def test_an_image_of_an_unknown_camera_gets_a_focal_length(workspace, truth, views, tmp_path):

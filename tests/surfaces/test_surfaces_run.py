@@ -268,12 +268,19 @@ def test_large_coordinates_give_the_same_mesh(scene, small, tmp_path):
         assert np.median(distance) < 0.6 * small.summary["voxel"]
 
 
-def test_a_texture_that_is_too_small_is_a_warning_and_no_old_one_stays(scene, small, tmp_path):
+def test_a_mesh_that_cannot_be_textured_is_a_warning_and_no_old_texture_stays(
+    scene, small, tmp_path, monkeypatch
+):
+    def fail(*_):
+        raise DegenerateGeometryError("no view shows the mesh")
+
     out = shutil.copytree(small.out, tmp_path / "out")
     assert (out / "textured.glb").is_file()
-    found = surface(scene.folder, out, max_size_px=192, texture_px=256, min_component=0.0)
-    if any("no texture" in warning for warning in found.warnings):
-        assert not (out / "textured.glb").exists()
+    with monkeypatch.context() as patch:
+        patch.setattr("epipole.pipelines.surfaces.run.texture_of", fail)
+        found = surface(scene.folder, out, max_size_px=192, texture_px=256)
+    assert any("the mesh has no texture: no view" in warning for warning in found.warnings)
+    assert not (out / "textured.glb").exists()
     with overwriting():
         surface(scene.folder, out, max_size_px=192, until="mesh")
     assert not (out / "textured.glb").exists() and (out / "mesh.ply").is_file()
