@@ -108,10 +108,8 @@ def test_derivatives_are_those_of_the_terms(rng, is_metric):
         *(unit.rotation, rng.normal(size=(n, 3)), unit.translation, 1e-3 * rng.normal(size=(n, 6))),
         *(0.2, path.gravity_in_world),
     )
-    problem = InertialProblem(
-        *(measured, path.world_from_camera, path.camera_from_imu, ImuNoise(), (0.01, 0.01), np.zeros(3)),
-        is_metric,
-    )
+    poses, mounting, sigmas = path.world_from_camera, path.camera_from_imu, (0.01, 0.01)
+    problem = InertialProblem(measured, poses, mounting, ImuNoise(), sigmas, np.zeros(3), is_metric)
     states = problem.moved(states, 1e-3 * rng.normal(size=problem.num_unknowns))
     _, gradient = problem.normal_equations(states)
     for _ in range(3):

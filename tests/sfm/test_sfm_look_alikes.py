@@ -1,6 +1,7 @@
 """Things that look alike: models that show them as one are found and separated, and right models stay as they are."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from epipole.pipelines.sfm.false_pairs import (
     are_stray,
     are_torn,
     are_within,
+    is_connected_by_conflicts,
     is_doubtful,
 )
 from epipole.pipelines.sfm.look_alikes import Attempt, map_apart, map_once
@@ -300,3 +302,17 @@ def test_a_single_image_does_not_hold_two_parts_together(rng):
     assert not are_hinges(graph, [model_without(true, [0, 1])], ~over).any()
     alone, _ = rows_of(graph, [0], range(1, 7))  # no pair is strong enough: nothing is known about it
     assert not are_hinges(graph, [true], ~alone).any()
+
+
+@pytest.mark.parametrize("num_conflicting", [0, 1, 2])
+def test_few_pairs_with_conflicts_put_a_model_in_doubt_if_they_alone_hold_it_together(num_conflicting):
+    """Two groups of five images, all pairs within a group, and two pairs between the groups."""
+    within = [(i, j) for first in (0, 5) for i in range(first, first + 5) for j in range(i + 1, first + 5)]
+    image1, image2 = np.array([*within, (0, 5), (1, 6)], np.int32).T
+    conflicting = np.zeros(len(image1), np.int64)
+    conflicting[len(within) : len(within) + num_conflicting] = 60
+    conflicts = ConflictingPoints(image1, image2, 100 - conflicting, np.zeros_like(conflicting), conflicting)
+    model = SimpleNamespace(is_registered=lambda: np.ones(10, bool))
+    graph = SimpleNamespace(image1=image1, image2=image2)
+    assert not conflicts.contradicts_model
+    assert is_connected_by_conflicts(graph, model, conflicts) == (num_conflicting == 2)

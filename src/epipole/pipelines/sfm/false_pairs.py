@@ -124,6 +124,22 @@ def _angles(view_graph: ViewGraph, rotation: np.ndarray, model: Reconstruction) 
     return angle
 
 
+def is_connected_by_conflicts(
+    view_graph: ViewGraph, model: Reconstruction, conflicts: ConflictingPoints
+) -> bool:
+    """Whether without the verified pairs that conflict, however few, some images of a model would not be connected with the others."""
+    registered = model.is_registered()
+    joins = registered[view_graph.image1] & registered[view_graph.image2]
+    image1, image2 = (ends[conflicts.is_contradiction] for ends in (conflicts.image1, conflicts.image2))
+    conflicting = _values(view_graph.image1, view_graph.image2, image1, image2, np.ones(len(image1)))
+    joins &= np.isnan(conflicting)
+    shape = (len(registered), len(registered))
+    ends = view_graph.image1[joins], view_graph.image2[joins]
+    _, part = connected_components(csr_matrix((np.ones(int(joins.sum())), ends), shape=shape), directed=False)
+    sizes = np.sort(np.bincount(part[registered]))
+    return len(sizes) > 1 and bool(sizes[-2] >= LEAST_IMAGES)
+
+
 def is_doubtful(conflicts: ConflictingPoints, num_images: int) -> bool:
     """Whether a model of a later round, after an earlier one was in doubt, still shows different things as one."""
     count, judged = int(conflicts.is_contradiction.sum()), conflicts.is_judged

@@ -25,6 +25,7 @@ from epipole.pipelines.sfm.false_pairs import (
     are_torn,
     are_within,
     disagrees,
+    is_connected_by_conflicts,
     is_doubtful,
 )
 from epipole.pipelines.sfm.mapping_stage import Mapped
@@ -76,7 +77,7 @@ def map_apart(
     """
     used, fraction = np.ones(len(view_graph), bool), np.full(len(view_graph), np.nan)
     found = first = map_once(view_graph, map_pairs, matched)
-    if not any(conflicts.contradicts_model for conflicts in found.conflicts):
+    if not any(_are_contradicted(view_graph, found)):
         return found
     was_false = np.zeros(len(view_graph), bool)
     for num_rounds in range(MAX_ROUNDS + MAX_SPLITS):
@@ -128,10 +129,24 @@ def _doubtful_pairs(
     rotation = view_graph.cam2_from_cam1.rotation.copy()
     # A plane allows two motions: of the pairs that were used, the one that was.
     rotation[used & np.isnan(found.last.contradiction_rad)] = found.last.view_graph.cam2_from_cam1.rotation
+    models = found.last.mapped.models
+    contradicted = (
+        _are_contradicted(view_graph, found)
+        if is_first
+        else [is_doubtful(evidence, len(model.images)) for model, evidence in zip(models, found.evidence)]
+    )
     return [
         FalsePairs.of(view_graph, model, evidence, disagrees(view_graph, rotation, model))
-        for model, conflicts, evidence in zip(found.last.mapped.models, found.conflicts, found.evidence)
-        if (conflicts.contradicts_model if is_first else is_doubtful(evidence, len(model.images)))
+        for model, evidence, is_wrong in zip(models, found.evidence, contradicted)
+        if is_wrong
+    ]
+
+
+def _are_contradicted(view_graph: ViewGraph, found: Separation) -> list[bool]:
+    """Whether each model of the first mapping is in doubt."""
+    return [
+        conflicts.contradicts_model or is_connected_by_conflicts(view_graph, model, conflicts)
+        for model, conflicts in zip(found.last.mapped.models, found.conflicts)
     ]
 
 

@@ -111,7 +111,7 @@ def _look_alike_warnings(solution: Solution) -> list[str]:
             " pairs; --mapper.no-separate-look-alikes uses them)"
         )
     out += [
-        f"model {number}: in {int(found.is_contradiction.sum())} of {int(found.is_judged.sum())} pairs of images with similar"
+        f"model {number}: in {int(found.is_contradiction.sum())} of {int(found.is_judged.sum())} verified pairs with similar"
         " views, points conflict: it probably shows different things that look alike as one; map them apart (--exclude), or"
         " match only neighboring images (--pairs, --pairing.method sequential)"
         for number, found in enumerate(solution.conflicts)
