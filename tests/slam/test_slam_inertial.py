@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from slam_rides import errors, rendered
 
-from epipole.geometry import Rigid3, Rotation3
+from epipole.geometry import Rigid3, Rotation3, Similarity3
 from epipole.inertial import ImuFactors, ImuLog, ImuNoise, MountedImu
 from epipole.metrics import absolute_error
 from epipole.pipelines.slam import run
@@ -106,6 +106,29 @@ def test_a_run_uses_the_unit_and_states_the_scale_with_its_deviation(ride, job):
     off = float(error.truth_from_estimate.scale) - 1.0
     assert abs(off) < 3 * estimate.sigma / estimate.scale < 0.03
     assert errors(before, truth, "similarity").position.rmse < 2e-3
+
+
+def test_gravity_in_a_camera_is_right_and_stays_when_the_map_moves(ride, job):
+    system = job[1]
+    model = system.maps[0].copied()
+    keyframe = next(k for k in model.keyframes if len(k.point))
+    true = ride.truth()[round(10 * keyframe.timestamp_s)].rotation.T @ [0.0, 0.0, -9.81]
+    found = keyframe.cam_from_world.rotation @ model.gravity_in_world
+    cosine = found @ true / np.linalg.norm(found) / 9.81
+    assert np.degrees(np.arccos(cosine)) < 0.9  # three standard deviations after four seconds
+    model.move(Similarity3(np.array(3.0), Rotation3.exp(np.array([0.3, 1.0, -0.2])).matrix, np.ones(3)))
+    np.testing.assert_allclose(keyframe.cam_from_world.rotation @ model.gravity_in_world, found, atol=1e-12)
+    assert model.copied().gravity_in_world is not None
+    model.clear()
+    assert model.gravity_in_world is None
+
+
+def test_the_written_map_is_level(ride, job):
+    result = job[0]
+    truth, path = ride.truth(), result.trajectory
+    true_up = truth[np.rint(10 * path.timestamp_s).astype(int)].rotation[:, 2]
+    cosine = np.sum(path.world_from_body.rotation[:, 2] * true_up, axis=1)
+    assert np.degrees(np.arccos(np.minimum(cosine, 1.0))).max() < 0.9
 
 
 @in_whole_run

@@ -65,7 +65,7 @@ class Slam(SlamMapping):
         It takes seconds once per process, and a minute or two on a new machine. This object does not change.
         """
         warm_up(self.camera, lambda camera: Slam(camera, self._given_config))
-        if self._camera_imu is not None:
+        if self.camera_imu is not None:
             warm_up_imu()
 
     # Initialization.
@@ -382,8 +382,8 @@ class Slam(SlamMapping):
         The map with the most frames becomes the first one, unless a known map was given.
         """
         self.wait_for_mapping()
-        if self._camera_imu is not None:
-            self._camera_imu.is_clock_known(is_last=True)
+        if self.camera_imu is not None:
+            self.camera_imu.is_clock_known(is_last=True)
         self._end_unconfirmed()
         self._largest_first()
         refine_past_poses(self._path, self.odometry.tracker, is_last=True)

@@ -88,7 +88,7 @@ class SlamState:
         self._given_config = SlamConfig() if config is None else config
         self.config = self._given_config.odometry
         self.camera = camera
-        self._camera_imu = None if imu is None or maps else CameraImu(camera.with_imu(imu))
+        self.camera_imu = None if imu is None or maps else CameraImu(camera.with_imu(imu))
         self.focal_baseline = focal_baseline_of(camera, self.config)
         self.state = TrackingState.LOST if maps else TrackingState.STARTING
         self.is_map_fixed = is_map_fixed
@@ -125,7 +125,7 @@ class SlamState:
 
     def local_mapper(self, model: SlamMap) -> LocalMapper:
         """A new local mapper of one of the maps."""
-        return LocalMapper(model, self.camera, self.focal_baseline, self.config, self._camera_imu)
+        return LocalMapper(model, self.camera, self.focal_baseline, self.config, self.camera_imu)
 
     @checked
     def add_imu(self, samples: ImuLog) -> None:
@@ -138,16 +138,16 @@ class SlamState:
             ConfigError: the IMU's mounting is unknown.
             ShapeError: the times do not increase.
         """
-        if self._camera_imu is None:
+        if self.camera_imu is None:
             raise ConfigError(
                 "measurements of an IMU need its mounting: pass imu=MountedImu(log, camera_from_imu), with the log so far"
             )
-        self._camera_imu.add(samples)
+        self.camera_imu.add(samples)
 
     @property
     def imu(self) -> MountedImu | None:
         """The IMU with its measurements so far; None without one."""
-        return None if self._camera_imu is None else self._camera_imu.imu
+        return None if self.camera_imu is None else self.camera_imu.imu
 
     @property
     def meters_per_unit(self) -> tuple[float, float] | None:
@@ -165,9 +165,7 @@ class SlamState:
     @property
     def gravity_in_world(self) -> np.ndarray | None:
         """(3,) gravity in the world of the tracked map, in m / s^2; None until an IMU and the trajectory have shown it."""
-        inertial = self.odometry.mapper.inertial
-        aligned = None if inertial is None else inertial.aligned
-        return None if aligned is None else aligned.gravity_in_world
+        return self.map.gravity_in_world
 
     def continue_in(self, model: SlamMap, answers: Sequence[TrackedFrame]) -> None:
         """Continue in a map after frames that another process tracked; the camera must be relocalized in it.

@@ -47,7 +47,7 @@ class InertialConstraints:
         camera_imu: measurements, mounting, specified noise and clock.
         is_metric: whether the map is in meters.
         aligned: scale, gravity and biases of some keyframes; None until they are observable. Adjustments of as many keyframes or more
-            update its gravity.
+            than those before update its gravity.
         noise: noise densities, at least the specified ones, raised to what the adjusted trajectory shows.
     """
 
@@ -56,6 +56,11 @@ class InertialConstraints:
         self.aligned: InertialAlignment | None = None
         self.noise = camera_imu.imu.noise
         self._num_leveled = 0  # keyframes of the adjustment from which gravity comes
+
+    @property
+    def gravity_in_world(self) -> np.ndarray | None:
+        """(3,) in m / s^2; None while not aligned."""
+        return None if self.aligned is None else self.aligned.gravity_in_world
 
     @property
     def imu(self) -> MountedImu:
@@ -144,13 +149,14 @@ class InertialConstraints:
             gyro_density=max(self.noise.gyro_density * gyro**0.5, self.imu.noise.gyro_density),
             accel_density=max(self.noise.accel_density * accel**0.5, self.imu.noise.accel_density),
         )
-        self._level(factors, cam_from_world)
         return True
 
-    def _level(self, factors: Sequence[ImuFactors], cam_from_world: Rigid3) -> None:
-        """Take gravity from an adjustment, unless it comes from one of more keyframes."""
+    def level(self, problem: BundleProblem, result: BundleResult) -> None:
+        """Take gravity from an adjustment with factors, unless it comes from one of more keyframes; its poses are in the map's world."""
+        paths, cam_from_world = () if problem.priors is None else problem.priors.paths, result.rig_from_world
+        factors = [one for one in paths if isinstance(one, ImuFactors)]
         count = sum(len(one.frames) for one in factors)
-        if self.aligned is None or count < self._num_leveled:
+        if self.aligned is None or not count or count < self._num_leveled:
             return
         found, variances = zip(*(one.gravity(cam_from_world[one.frames]) for one in factors))
         mean = np.average(found, axis=0, weights=1.0 / np.array(variances))

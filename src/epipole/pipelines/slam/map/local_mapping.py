@@ -28,11 +28,11 @@ from epipole.pipelines.slam.map.covariance import CalibrationSigma, add_calibrat
 from epipole.pipelines.slam.map.gauge import align_gauge
 from epipole.pipelines.slam.map.imu import InertialConstraints, pixel_variance
 from epipole.pipelines.slam.map.imu_clock import CameraImu
+from epipole.pipelines.slam.map.outliers import remove_outliers
 from epipole.pipelines.slam.map.pair_adjustment import adjust_pair
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.map.triangulation import positions_of
 from epipole.pipelines.slam.shutter.motion import straighten
-from epipole.pipelines.slam.tracking.projection import project_as
 from epipole.pipelines.slam.tracking.redetection import link_tracks
 from epipole.scene import CameraRig
 
@@ -196,7 +196,7 @@ class LocalMapper:
         if self.sensor.shutter.is_rolling:
             for keyframe in (self.map.keyframes[k] for k in views):
                 straighten(self.map, keyframe, self.sensor.shutter, self.config.min_tracked)
-        rows, is_outside = self._built(window, views)
+        rows, problem = self._built(window, views)
         if not len(rows):
             return None
         config = BundleConfig(
@@ -205,7 +205,7 @@ class LocalMapper:
             max_iterations=max_iterations,
             function_tolerance=1e-3,
         )
-        is_outside, result = self._adjusted(is_outside, views, config)
+        problem, result = self._adjusted(problem, views, config)
         if self.focal_baseline is not None:
             self.map.right_shift_px = float(result.camera_params[1, 2] - self.sensor.camera.params[2])
         # Align an unconstrained map to its previous poses, so that poses already returned stay valid.
@@ -218,12 +218,13 @@ class LocalMapper:
             )
         for position, k in enumerate(window):
             self.map.keyframes[k].cam_from_world = result.rig_from_world[position]
+        self._level(problem, result)
         is_due = len(self.map.keyframes) % COVARIANCES_EVERY == 0 or len(window) == len(self.map.keyframes)
         if self.is_metric and is_due:
-            learn_covariances([self.map.keyframes[k] for k in views], len(window), is_outside, result, config)
+            learn_covariances([self.map.keyframes[k] for k in views], len(window), problem, result, config)
         self.map.xyz[rows] = result.points_in_world
-        self.remove_outliers(views, max(self.config.max_error_px, 2.0 * loss_scale_px))
-        return Adjusted(is_outside, result, config, views)
+        remove_outliers(self.map, self.camera, views, max(self.config.max_error_px, 2.0 * loss_scale_px))
+        return Adjusted(problem, result, config, views)
 
     def cost_of(self, window: list[int]) -> float:
         """Final cost of an adjustment of keyframes; the map is not changed."""
@@ -267,11 +268,11 @@ class LocalMapper:
         keyframes = [self.map.keyframes[k] for k in views]
         paths = self.inertial.factors(keyframes, pixel_variance(problem, self.sensor.camera))
         if paths:
-            is_constrained = replace(problem, priors=replace(problem.priors or BundlePriors(), paths=paths))
+            constrained = replace(problem, priors=replace(problem.priors or BundlePriors(), paths=paths))
             with suppress(DegenerateGeometryError):
-                is_constrained, result = adjust_pair(is_constrained, config, self.goes_on)
+                constrained, result = adjust_pair(constrained, config, self.goes_on)
                 if self.inertial.agrees(paths, result.rig_from_world):
-                    return is_constrained, result
+                    return constrained, result
         return adjust_pair(problem, config, self.goes_on)
 
     def learn_inertial(self, *, is_last: bool = False) -> bool:
@@ -284,7 +285,14 @@ class LocalMapper:
             return False
         seen = [k for k in self.map.keyframes if self.map.is_triangulated(k.point).any()]
         self.inertial.learn(seen, is_last=is_last)
+        self.map.gravity_in_world = self.inertial.gravity_in_world
         return self.inertial.aligned is not None
+
+    def _level(self, problem: BundleProblem, result: BundleResult) -> None:
+        """Take the map's gravity from an adjustment with IMU factors; without them, the IMU agrees no longer or not yet."""
+        if self.inertial is not None:
+            self.inertial.level(problem, result)
+            self.map.gravity_in_world = self.inertial.gravity_in_world
 
     def _observations(
         self, views: list[int], is_wanted: np.ndarray
@@ -372,18 +380,6 @@ class LocalMapper:
         none = np.full(3, np.nan)
         measured = np.array([self.positions.get(self.map.keyframes[k].number, none) for k in views])
         return BundlePriors(position_in_world=measured, position_sigma=self.position_sigma)
-
-    def remove_outliers(self, keyframes: list[int], max_error_px: float) -> None:
-        """Remove observations with a larger reprojection error or with the point behind the camera."""
-        for k in keyframes:
-            own = self.map.keyframes[k]
-            localized = self.map.is_triangulated(own.point)
-            straight, xyz = own.straight_px[localized], self.map.xyz[own.point[localized]]
-            at = project_as(self.camera, own.cam_from_world.apply(xyz), straight)
-            off = np.zeros(len(own.point), bool)
-            off[localized] = ~(np.linalg.norm(at - straight, axis=1) <= max_error_px)
-            if off.any():
-                own.keep(~off)
 
 
 def focal_baseline_of(sensor: SlamCamera, config: OdometryConfig) -> float | None:

@@ -100,6 +100,8 @@ class SlamMap:
         """Motion of a rolling-shutter camera in the last frame, and before it."""
         self.right_shift_px = 0.0
         """Estimated offset to the right of the second camera's principal point from its calibrated value (stereo pairs)."""
+        self.gravity_in_world: np.ndarray | None = None
+        """(3,) in m / s^2; None until an IMU and the trajectory have shown it."""
 
     @property
     def xyz(self) -> np.ndarray:
@@ -164,7 +166,7 @@ class SlamMap:
         """Remove everything."""
         self.keyframes.clear()
         self.motion, self.recent = NO_MOTION, RecentMotion()
-        self.num_points = 0
+        self.num_points, self.gravity_in_world = 0, None
 
     def rescale(self, factor: float) -> None:
         """Change the unit of the world."""
@@ -180,6 +182,8 @@ class SlamMap:
             keyframe.motion = keyframe.motion * grown
         self.motion = self.motion * grown
         self.recent.grow(float(new_from_old.scale))
+        if self.gravity_in_world is not None:
+            self.gravity_in_world = new_from_old.rotation @ self.gravity_in_world
 
     def absorb(self, other: SlamMap) -> int:
         """Move keyframes and points of a map in the same coordinates into this one; returns the offset of its points' rows.

@@ -110,11 +110,9 @@ class McapRecording(Recording):
         """Record the final trajectory and map, and complete the file."""
         if self._thread is None:
             return
-        world, mapper = _world(system.maps[0].number), system.local_mapper(system.maps[0])
-        mapper.learn_inertial(is_last=True)
-        aligned = None if mapper.inertial is None else mapper.inertial.aligned
-        if aligned is not None and self._worlds:
-            axes = upright_axes(system.maps[0], aligned.gravity_in_world)
+        world, gravity = _world(system.maps[0].number), system.maps[0].gravity_in_world
+        if gravity is not None and self._worlds:
+            axes = upright_axes(system.maps[0], gravity)
             self._put(partial(self._static, self._stamp_s, world, axes))
         elif self._worlds and world not in self._connected:  # another map became the largest
             self._put(partial(self._static, self._stamp_s, world))

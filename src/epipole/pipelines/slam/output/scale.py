@@ -97,18 +97,16 @@ def level_map(system: Slam, anchoring: Anchoring | None) -> tuple[Similarity3 | 
     Returns:
         the motion of the map (None without an IMU that agrees, or if the world is known), and notes on clock and mounting.
     """
-    mapper = system.local_mapper(system.maps[0])
-    mapper.learn_inertial(is_last=True)
-    if mapper.inertial is None:
+    if system.camera_imu is None:
         return None, []
-    aligned, notes = mapper.inertial.aligned, mapper.inertial.camera_imu.notes()
-    if aligned is None:
-        why = mapper.inertial.camera_imu.other_reading
+    gravity, notes = system.maps[0].gravity_in_world, system.camera_imu.notes()
+    if gravity is None:
+        why = system.camera_imu.other_reading
         words = "the IMU does not agree with the trajectory, or there are too few keyframes: it was not used"
         return None, [f"the IMU was not used: {why}" if why else words, *notes]
     if anchoring is not None and anchoring.positions is not None:
         return None, notes
-    axes = upright_axes(system.maps[0], aligned.gravity_in_world)
+    axes = upright_axes(system.maps[0], gravity)
     leveled = Similarity3(np.array(1.0), axes, np.zeros(3))
     system.maps[0].move(leveled)
     return leveled, notes
