@@ -228,8 +228,8 @@ def test_the_unit_of_the_map(ride, imu, before_dark):
     assert system.meters_per_unit == (1.0, 0.0)
     mono = Slam(ride.sensor("mono"), imu=imu)
     assert mono.meters_per_unit is None
-    mono.odometry.mapper.inertial.aligned = replace(system.odometry.mapper.inertial.aligned, scale=1.98)
-    assert mono.meters_per_unit[0] == 1.98 and mono.meters_per_unit[1] > 0
+    mono.map.by_imu = system.map.by_imu._replace(meters_per_unit=1.98)
+    assert mono.meters_per_unit == (1.98, 1.98 * NOISE.accel_gain_sigma)
 
 
 @in_whole_run

@@ -113,14 +113,16 @@ def test_gravity_in_a_camera_is_right_and_stays_when_the_map_moves(ride, job):
     model = system.maps[0].copied()
     keyframe = next(k for k in model.keyframes if len(k.point))
     true = ride.truth()[round(10 * keyframe.timestamp_s)].rotation.T @ [0.0, 0.0, -9.81]
-    found = keyframe.cam_from_world.rotation @ model.gravity_in_world
+    found = keyframe.cam_from_world.rotation @ model.by_imu.gravity_in_world
     cosine = found @ true / np.linalg.norm(found) / 9.81
     assert np.degrees(np.arccos(cosine)) < 0.9  # three standard deviations after four seconds
     model.move(Similarity3(np.array(3.0), Rotation3.exp(np.array([0.3, 1.0, -0.2])).matrix, np.ones(3)))
-    np.testing.assert_allclose(keyframe.cam_from_world.rotation @ model.gravity_in_world, found, atol=1e-12)
-    assert model.copied().gravity_in_world is not None
+    np.testing.assert_allclose(
+        keyframe.cam_from_world.rotation @ model.by_imu.gravity_in_world, found, atol=1e-12
+    )
+    assert model.copied().by_imu.meters_per_unit == pytest.approx(system.maps[0].by_imu.meters_per_unit / 3.0)
     model.clear()
-    assert model.gravity_in_world is None
+    assert model.by_imu is None
 
 
 def test_the_written_map_is_level(ride, job):

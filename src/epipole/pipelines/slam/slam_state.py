@@ -158,14 +158,16 @@ class SlamState:
         """
         if self.camera.is_metric:
             return 1.0, 0.0
-        inertial = self.odometry.mapper.inertial
-        aligned = None if inertial is None else inertial.aligned
-        return None if aligned is None else (aligned.scale, aligned.sigma)
+        found = self.map.by_imu
+        if found is None or self.imu is None:
+            return None
+        gain = found.meters_per_unit * self.imu.noise.accel_gain_sigma
+        return found.meters_per_unit, float(np.hypot(found.sigma, gain))
 
     @property
     def gravity_in_world(self) -> np.ndarray | None:
         """(3,) gravity in the world of the tracked map, in m / s^2; None until an IMU and the trajectory have shown it."""
-        return self.map.gravity_in_world
+        return None if self.map.by_imu is None else self.map.by_imu.gravity_in_world
 
     def continue_in(self, model: SlamMap, answers: Sequence[TrackedFrame]) -> None:
         """Continue in a map after frames that another process tracked; the camera must be relocalized in it.

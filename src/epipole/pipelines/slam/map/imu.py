@@ -13,6 +13,7 @@ from epipole.geometry import Rigid3
 from epipole.inertial import (
     ImuCalibration,
     ImuFactors,
+    ImuNoise,
     InertialAlignment,
     MountedImu,
     align_path_to_imu,
@@ -22,8 +23,7 @@ from epipole.inertial.preintegration import LARGEST_GAP_S
 from epipole.optim import BundleConfig, BundleProblem, BundleResult, bundle_variance
 from epipole.pipelines.slam.map.imu_clock import CameraImu, path_of
 from epipole.pipelines.slam.map.imu_readings import LARGEST_MISFIT, better_reading
-from epipole.pipelines.slam.map.slam_map import Keyframe
-from epipole.scale import ScaleEstimate
+from epipole.pipelines.slam.map.slam_map import ImuAlignment, Keyframe
 
 LONGEST_S = 2.0
 """Longest interval between keyframes of an alignment: over longer ones the integrated biases are too large."""
@@ -46,21 +46,17 @@ class InertialConstraints:
     Attributes:
         camera_imu: measurements, mounting, specified noise and clock.
         is_metric: whether the map is in meters.
-        aligned: scale, gravity and biases of some keyframes; None until they are observable. Adjustments of as many keyframes or more
-            than those before update its gravity.
+        aligned: scale, gravity and biases of some keyframes; None until they are observable.
+        shown: gravity and scale of the map, by the adjustment of the most keyframes so far; before the first by `aligned`. None as that.
         noise: noise densities, at least the specified ones, raised to what the adjusted trajectory shows.
     """
 
     def __init__(self, camera_imu: CameraImu, *, is_metric: bool = False) -> None:
         self.camera_imu, self.is_metric = camera_imu, is_metric
         self.aligned: InertialAlignment | None = None
+        self.shown: ImuAlignment | None = None
         self.noise = camera_imu.imu.noise
-        self._num_leveled = 0  # keyframes of the adjustment from which gravity comes
-
-    @property
-    def gravity_in_world(self) -> np.ndarray | None:
-        """(3,) in m / s^2; None while not aligned."""
-        return None if self.aligned is None else self.aligned.gravity_in_world
+        self._num_adjusted = 0  # keyframes with factors in the adjustment that has shown it
 
     @property
     def imu(self) -> MountedImu:
@@ -88,6 +84,8 @@ class InertialConstraints:
                 self.camera_imu.other_reading = other
                 if fits and not other:
                     self.aligned, self.camera_imu.is_used = aligned, True
+                    scale, sigma = (1.0, 0.0) if self.is_metric else _scale_without_gain(aligned, self.noise)
+                    self.shown = ImuAlignment(aligned.gravity_in_world, scale, sigma, is_adjusted=False)
                     return
 
     def calibration(self, keyframes: Sequence[Keyframe], timestamp_s: float) -> ImuCalibration | None:
@@ -142,7 +140,7 @@ class InertialConstraints:
         given = np.array([one.variance_factors(cam_from_world[one.frames]) for one in factors])
         gyro, accel = np.average(given, axis=0, weights=[len(one.frames) for one in factors])
         if not max(gyro, accel) <= LARGEST_MISFIT**2:
-            self.aligned, self._num_leveled = None, 0
+            self.aligned, self.shown, self._num_adjusted = None, None, 0
             return False
         self.noise = replace(
             self.noise,
@@ -151,17 +149,25 @@ class InertialConstraints:
         )
         return True
 
-    def level(self, problem: BundleProblem, result: BundleResult) -> None:
-        """Take gravity from an adjustment with factors, unless it comes from one of more keyframes; its poses are in the map's world."""
-        paths, cam_from_world = () if problem.priors is None else problem.priors.paths, result.rig_from_world
+    def learn_from(self, problem: BundleProblem, result: BundleResult, config: BundleConfig) -> None:
+        """Take gravity and scale from an adjustment with factors, unless one of more keyframes has shown them.
+
+        Args:
+            problem: the adjusted problem.
+            result: its minimum, in the map's world.
+            config: of the adjustment.
+        """
+        paths = () if problem.priors is None else problem.priors.paths
         factors = [one for one in paths if isinstance(one, ImuFactors)]
         count = sum(len(one.frames) for one in factors)
-        if self.aligned is None or not count or count < self._num_leveled:
+        if not count or count < self._num_adjusted:
             return
-        found, variances = zip(*(one.gravity(cam_from_world[one.frames]) for one in factors))
+        found, variances = zip(*(one.gravity(result.rig_from_world[one.frames]) for one in factors))
         mean = np.average(found, axis=0, weights=1.0 / np.array(variances))
         gravity = mean * np.linalg.norm(found[0]) / np.linalg.norm(mean)
-        self.aligned, self._num_leveled = replace(self.aligned, gravity_in_world=gravity), count
+        scale, sigma = (1.0, 0.0) if self.is_metric else scale_by_factors(factors, problem, result, config)
+        self.shown = ImuAlignment(gravity, scale, sigma, is_adjusted=True)
+        self._num_adjusted = count
 
     def _in_a_row(self, keyframes: Sequence[Keyframe], longest_s: float) -> list[np.ndarray]:
         """Indices of consecutive keyframes, in the order of time, at most so far apart, between which the log has no gap."""
@@ -186,34 +192,36 @@ class InertialConstraints:
         return times + self.camera_imu.offset_s, positions
 
 
+def _scale_without_gain(aligned: InertialAlignment, noise: ImuNoise) -> tuple[float, float]:
+    """Scale, and its standard deviation without that of the accelerometer's gain."""
+    gain = aligned.scale * noise.accel_gain_sigma
+    return aligned.scale, float(np.sqrt(max(aligned.sigma**2 - gain**2, 0.0)))
+
+
 def scale_by_factors(
-    problem: BundleProblem, result: BundleResult, config: BundleConfig, imu: MountedImu
-) -> ScaleEstimate | None:
-    """Scale and its standard deviation from an adjustment with IMU factors; None without factors.
+    factors: Sequence[ImuFactors], problem: BundleProblem, result: BundleResult, config: BundleConfig
+) -> tuple[float, float]:
+    """Meters per unit from an adjustment with IMU factors, and the standard deviation without that of the accelerometer's gain.
 
     Args:
-        problem: the adjusted problem, with the factors among its priors.
+        factors: one or more factors of the adjustment.
+        problem: the adjusted problem.
         result: its minimum.
         config: of the adjustment.
-        imu: the IMU.
 
     Raises:
         DegenerateGeometryError: the problem is underdetermined.
     """
     logs, variances = [], []
-    for path in () if problem.priors is None else problem.priors.paths:
-        assert isinstance(path, ImuFactors)
+    for path in factors:
         log_scale, own, derivative = path.scale(result.rig_from_world[path.frames])
         of_all = np.zeros((len(problem.frame_free), 6))
         of_all[path.frames] = derivative
         logs.append(log_scale)
         variances.append(own + path.weight * bundle_variance(problem, result, of_all, config))
-    if not logs:
-        return None
     weight = 1.0 / np.array(variances)
     scale = float(np.exp((weight * logs).sum() / weight.sum()))
-    sigma, shared = scale / float(np.sqrt(weight.sum())), imu.noise.accel_gain_sigma
-    return ScaleEstimate("imu", "the IMU", scale, sigma, shared, "the IMU, adjusted with the images")
+    return scale, scale / float(np.sqrt(weight.sum()))
 
 
 def pixel_variance(problem: BundleProblem, camera: Camera) -> float:

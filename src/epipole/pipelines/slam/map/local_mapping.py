@@ -218,7 +218,9 @@ class LocalMapper:
             )
         for position, k in enumerate(window):
             self.map.keyframes[k].cam_from_world = result.rig_from_world[position]
-        self._level(problem, result)
+        if self.inertial is not None:
+            self.inertial.learn_from(problem, result, config)
+            self.map.by_imu = self.inertial.shown
         is_due = len(self.map.keyframes) % COVARIANCES_EVERY == 0 or len(window) == len(self.map.keyframes)
         if self.is_metric and is_due:
             learn_covariances([self.map.keyframes[k] for k in views], len(window), problem, result, config)
@@ -285,14 +287,8 @@ class LocalMapper:
             return False
         seen = [k for k in self.map.keyframes if self.map.is_triangulated(k.point).any()]
         self.inertial.learn(seen, is_last=is_last)
-        self.map.gravity_in_world = self.inertial.gravity_in_world
+        self.map.by_imu = self.inertial.shown
         return self.inertial.aligned is not None
-
-    def _level(self, problem: BundleProblem, result: BundleResult) -> None:
-        """Take the map's gravity from an adjustment with IMU factors; without them, the IMU agrees no longer or not yet."""
-        if self.inertial is not None:
-            self.inertial.level(problem, result)
-            self.map.gravity_in_world = self.inertial.gravity_in_world
 
     def _observations(
         self, views: list[int], is_wanted: np.ndarray

@@ -66,7 +66,7 @@ class MapCopy:
         triangulated = self._lacked_depth & np.isnan(made.xyz[:, 0])
         model.xyz[:count] = np.where(triangulated[:, None], carried[:count], made.xyz)
         model.xyz[count:] = carried[count:]
-        model.right_shift_px, model.gravity_in_world = made.right_shift_px, made.gravity_in_world
+        model.right_shift_px, model.by_imu = made.right_shift_px, made.by_imu
         into = np.concatenate([self.into, np.arange(count, model.num_points)])
         gone = np.flatnonzero(into != np.arange(len(into)))
         if len(gone):

@@ -84,6 +84,27 @@ class Keyframe:
         self.descriptors = np.concatenate([self.descriptors, none])
 
 
+class ImuAlignment(NamedTuple):
+    """What an IMU has shown of a map."""
+
+    gravity_in_world: np.ndarray  # (3,), m / s^2
+    meters_per_unit: float
+    sigma: float  # of the meters per unit, without that of the accelerometer's gain
+    is_adjusted: (
+        bool  # whether images and IMU were adjusted together; else the IMU was aligned with the keyframes
+    )
+
+    def moved(self, new_from_old: Similarity3) -> ImuAlignment:
+        """The same after the map has moved."""
+        grown = float(new_from_old.scale)
+        return ImuAlignment(
+            new_from_old.rotation @ self.gravity_in_world,
+            self.meters_per_unit / grown,
+            self.sigma / grown,
+            self.is_adjusted,
+        )
+
+
 class SlamMap:
     """Keyframes and points. A point is NaN until it is seen under a large enough angle to be triangulated."""
 
@@ -100,8 +121,8 @@ class SlamMap:
         """Motion of a rolling-shutter camera in the last frame, and before it."""
         self.right_shift_px = 0.0
         """Estimated offset to the right of the second camera's principal point from its calibrated value (stereo pairs)."""
-        self.gravity_in_world: np.ndarray | None = None
-        """(3,) in m / s^2; None until an IMU and the trajectory have shown it."""
+        self.by_imu: ImuAlignment | None = None
+        """Gravity and meters per unit; None until an IMU and the trajectory have shown them."""
 
     @property
     def xyz(self) -> np.ndarray:
@@ -166,7 +187,7 @@ class SlamMap:
         """Remove everything."""
         self.keyframes.clear()
         self.motion, self.recent = NO_MOTION, RecentMotion()
-        self.num_points, self.gravity_in_world = 0, None
+        self.num_points, self.by_imu = 0, None
 
     def rescale(self, factor: float) -> None:
         """Change the unit of the world."""
@@ -182,8 +203,7 @@ class SlamMap:
             keyframe.motion = keyframe.motion * grown
         self.motion = self.motion * grown
         self.recent.grow(float(new_from_old.scale))
-        if self.gravity_in_world is not None:
-            self.gravity_in_world = new_from_old.rotation @ self.gravity_in_world
+        self.by_imu = None if self.by_imu is None else self.by_imu.moved(new_from_old)
 
     def absorb(self, other: SlamMap) -> int:
         """Move keyframes and points of a map in the same coordinates into this one; returns the offset of its points' rows.

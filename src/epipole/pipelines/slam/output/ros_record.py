@@ -110,9 +110,9 @@ class McapRecording(Recording):
         """Record the final trajectory and map, and complete the file."""
         if self._thread is None:
             return
-        world, gravity = _world(system.maps[0].number), system.maps[0].gravity_in_world
-        if gravity is not None and self._worlds:
-            axes = upright_axes(system.maps[0], gravity)
+        world, found = _world(system.maps[0].number), system.maps[0].by_imu
+        if found is not None and self._worlds:
+            axes = upright_axes(system.maps[0], found.gravity_in_world)
             self._put(partial(self._static, self._stamp_s, world, axes))
         elif self._worlds and world not in self._connected:  # another map became the largest
             self._put(partial(self._static, self._stamp_s, world))

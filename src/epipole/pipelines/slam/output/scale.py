@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from epipole.config import AnchorOptions
-from epipole.errors import ConfigError, DegenerateGeometryError
+from epipole.errors import ConfigError
 from epipole.geometry import Rigid3, Similarity3
-from epipole.pipelines.slam.map.imu import scale_by_factors
 from epipole.pipelines.slam.map.slam_map import SlamMap
 from epipole.pipelines.slam.output.export import reconstruction_of
 from epipole.pipelines.slam.output.map_file import KnownMap
@@ -75,16 +74,12 @@ def anchor_map(
 
 
 def scale_by_imu(system: Slam) -> ScaleEstimate | None:
-    """Scale from an adjustment with IMU factors; None if they do not determine it (`anchor_model` then says why)."""
-    if system.imu is None:
+    """Scale of the first map from its adjustments with the IMU; None if there was none (`anchor_model` then says why)."""
+    found = system.maps[0].by_imu
+    if system.imu is None or found is None or not found.is_adjusted:
         return None
-    mapper = system.local_mapper(system.maps[0])
-    mapper.learn_inertial(is_last=True)
-    adjusted = mapper.adjust_all()
-    try:
-        return None if adjusted is None else scale_by_factors(*adjusted[:3], system.imu)
-    except DegenerateGeometryError:
-        return None
+    gain, note = system.imu.noise.accel_gain_sigma, "the IMU, adjusted with the images"
+    return ScaleEstimate("imu", "the IMU", found.meters_per_unit, found.sigma, gain, note)
 
 
 def level_map(system: Slam, anchoring: Anchoring | None) -> tuple[Similarity3 | None, list[str]]:
@@ -99,14 +94,14 @@ def level_map(system: Slam, anchoring: Anchoring | None) -> tuple[Similarity3 | 
     """
     if system.camera_imu is None:
         return None, []
-    gravity, notes = system.maps[0].gravity_in_world, system.camera_imu.notes()
-    if gravity is None:
+    found, notes = system.maps[0].by_imu, system.camera_imu.notes()
+    if found is None:
         why = system.camera_imu.other_reading
         words = "the IMU does not agree with the trajectory, or there are too few keyframes: it was not used"
         return None, [f"the IMU was not used: {why}" if why else words, *notes]
     if anchoring is not None and anchoring.positions is not None:
         return None, notes
-    axes = upright_axes(system.maps[0], gravity)
+    axes = upright_axes(system.maps[0], found.gravity_in_world)
     leveled = Similarity3(np.array(1.0), axes, np.zeros(3))
     system.maps[0].move(leveled)
     return leveled, notes
