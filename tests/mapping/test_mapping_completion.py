@@ -6,7 +6,12 @@ from test_mapping_components import CAMERA, PLACES, view_graph
 
 from epipole.config import MatchConfig
 from epipole.features import Features, match_near_pixels
+from epipole.geometry import Rigid3
 from epipole.mapping import ModelBuilder, connect_matches, drop_short_tracks, find_further_matches
+from epipole.pipelines.sfm.config import MapperConfig
+from epipole.pipelines.sfm.mappers import completion
+from epipole.pipelines.sfm.mappers.completion import complete_model
+from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper
 from epipole.scene import Cameras
 
 
@@ -63,6 +68,20 @@ def test_a_feature_that_is_elsewhere_is_not_taken(rng):
 def test_images_without_common_points_are_no_neighbors(rng):
     _, _, model, features = scene(rng, matched_in_third=10)
     assert len(find_further_matches(model, features, 3.0, MatchConfig())) == 0
+
+
+@pytest.mark.parametrize("num_searches", [1, 2])
+def test_the_second_search_finds_what_a_wrong_pose_hides_from_the_first(rng, monkeypatch, num_searches):
+    monkeypatch.setattr(completion, "SEARCHES", num_searches)
+    graph, starts, model, features = scene(rng)
+    third = PLACES[2]
+    off = 2.0 * 5.0 / CAMERA.focal_px  # two pixels at the mean depth
+    moved = Rigid3(third.rotation, third.translation + np.array([off, 0.0, 0.0]))
+    model.register(2, moved)
+    mapper = IncrementalMapper(model, graph, MapperConfig(min_angle_deg=1.0), is_last=False)
+    complete_model(mapper, features, starts)
+    observed = np.bincount(model.row_point[model.row_point >= 0])
+    assert (observed == 3).sum() == {1: 20, 2: 80}[num_searches]
 
 
 @pytest.mark.parametrize(("num_long", "num_left"), [(20, 20), (21, 80)])

@@ -42,6 +42,16 @@ class FurtherMatches(Declared):
     def __len__(self) -> int:
         return len(self.image1)
 
+    @checked
+    def joined(self, later: FurtherMatches) -> FurtherMatches:
+        """These, and then those of a later search."""
+        return FurtherMatches(
+            np.concatenate([self.image1, later.image1]),
+            np.concatenate([self.keypoint1, later.keypoint1]),
+            np.concatenate([self.image2, later.image2]),
+            np.concatenate([self.keypoint2, later.keypoint2]),
+        )
+
     def __repr__(self) -> str:
         return f"FurtherMatches({len(self)})"
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from epipole.config import MatchConfig
 from epipole.features import Features
-from epipole.mapping import connect_matches, find_further_matches, median_error_px
+from epipole.mapping import FurtherMatches, connect_matches, find_further_matches, median_error_px
 from epipole.pipelines.sfm.mappers.incremental import IncrementalMapper, Progress, ignore_progress
 
 ROUNDS, FINAL_ROUNDS = 3, 2
@@ -16,11 +16,16 @@ ROUNDS, FINAL_ROUNDS = 3, 2
 GROWN_ROUNDS = 1
 """Most rounds of adjustment of a model that grew from earlier ones, which are adjusted already. It is also the number of
 rounds with the final loss if nearly all images come from one earlier model."""
+SEARCHES = 2
+"""Searches for further matches, with an adjustment after each. Where few pairs connect distant images, the first model is bent, and
+predicts many of their points too far from the right features; after the first search and an adjustment, it bends less."""
 RADIUS_FACTOR = 4.0
 """Multiple of the median reprojection error within which features are looked for: 99.9 % of the right ones, if both errors
 are normal. A larger radius adds other features nearby, which double the error of a rendered scene."""
 MIN_RADIUS_PX = 1.0
 """Smallest radius: the localization error of large features."""
+SIMILAR = MatchConfig(max_ratio=1.0)
+"""No ratio test: a repeated structure has no second instance within a few pixels."""
 
 
 def complete_model(
@@ -31,7 +36,7 @@ def complete_model(
     final_rounds: int = FINAL_ROUNDS,
     progress: Progress = ignore_progress,
 ) -> None:
-    """Complete the tracks of a finished model, triangulate them again with its poses, and adjust it.
+    """Complete the tracks of a finished model, triangulate them again with its poses, and adjust it, twice if it has rounds for that.
 
     A wrong match along the epipolar line makes a point in two images that no residual reveals, and a third image does.
     Therefore points in two images take no part in this adjustment, unless an image has few others.
@@ -42,23 +47,32 @@ def complete_model(
         keypoint_offsets: first keypoint of each image, and the number of all.
         rounds: most rounds of adjustment.
         final_rounds: rounds with the loss that suppresses wrong matches.
-        progress: called with the number of steps that are done, and of all: matches, points, and each round.
+        progress: called with the number of steps that are done, and of all: the matches and points of each search, and each round.
     """
     model, config = mapper.model, mapper.config
-    error_px = median_error_px(model)
-    if not np.isfinite(error_px):  # a model without points
-        return
-    # No ratio test: a repeated structure has no second instance within a few pixels.
-    similar = MatchConfig(max_ratio=1.0)
-    num_steps = 2 + rounds + final_rounds
-    progress(0, num_steps)
-    radius_px = min(max(RADIUS_FACTOR * error_px, MIN_RADIUS_PX), config.completion_px)
-    further = find_further_matches(model, features, radius_px, similar)
-    progress(1, num_steps)
-    components = connect_matches(mapper.view_graph, keypoint_offsets, further)
-    mapper.replace_components(components)
-    model.triangulate(np.arange(len(components)), config.max_error_px, np.deg2rad(config.min_angle_deg))
-    progress(2, num_steps)
-    mapper.min_track_length, mapper.is_last = config.min_track_length, True
-    mapper.adjust_globally(rounds, lambda done: progress(2 + done, num_steps))
-    mapper.finish(final_rounds, lambda done: progress(2 + rounds + done, num_steps))
+    num_searches = max(1, min(SEARCHES, rounds))
+    num_steps, step = 2 * num_searches + rounds + final_rounds, 0
+    further: FurtherMatches | None = None
+
+    def after(before: int) -> Callable[[int], None]:
+        return lambda done: progress(before + done, num_steps)
+
+    for search in range(num_searches):
+        error_px = median_error_px(model)
+        if not np.isfinite(error_px):  # a model without points
+            return
+        radius_px = min(max(RADIUS_FACTOR * error_px, MIN_RADIUS_PX), config.completion_px)
+        progress(step, num_steps)
+        found = find_further_matches(model, features, radius_px, SIMILAR)
+        progress(step + 1, num_steps)
+        further = found if further is None else further.joined(found)
+        components = connect_matches(mapper.view_graph, keypoint_offsets, further)
+        mapper.replace_components(components)
+        model.triangulate(np.arange(len(components)), config.max_error_px, np.deg2rad(config.min_angle_deg))
+        step += 2
+        progress(step, num_steps)
+        mapper.min_track_length, mapper.is_last = config.min_track_length, True
+        own_rounds = 1 if search + 1 < num_searches else rounds - search
+        mapper.adjust_globally(own_rounds, after(step))
+        step += own_rounds
+    mapper.finish(final_rounds, after(step))
