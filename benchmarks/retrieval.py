@@ -49,7 +49,7 @@ def main() -> None:
         "machine": describe_machine(2),
         "least_inliers": LEAST_INLIERS,
         "sets": sets,
-        "many": time_of_many(MANY, 64 * 128),
+        "many": time_of_many(MANY, 128 * 128),
     }
     RESULTS.write_text(json.dumps(found, indent=1) + "\n")
     table = Table(title="Retrieval")

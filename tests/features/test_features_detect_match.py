@@ -177,6 +177,19 @@ def test_many_images_are_compared_by_principal_components(rng):
     assert recall > 0.95
 
 
+@pytest.mark.parametrize("n", [200, 1100])
+def test_averages_find_images_that_have_nothing_in_common_by_way_of_those_between(n):
+    reach = 16  # images along a path, each with some of the things that the next ones show
+    vectors = np.zeros((n, n + reach), np.float32)
+    for i in range(n):
+        vectors[i, i : i + reach + 1] = 1.0 / np.sqrt(reach + 1)
+    found = most_similar(vectors, 50)
+    np.testing.assert_array_equal(found[40:-40, :30], most_similar(vectors, 30)[40:-40])
+    assert all(len({*row}) == 50 for row in found.tolist())
+    for i in range(40, n - 40, 20):
+        assert {*range(i - reach - 3, i + reach + 4)} - {i} <= {*found[i].tolist()}
+
+
 def test_equal_images_have_no_principal_components():
     vectors = np.tile(np.ones((1, 8), np.float32) / np.sqrt(8), (1100, 1))
     assert most_similar(vectors, 3).shape == (1100, 3)
