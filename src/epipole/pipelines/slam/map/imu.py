@@ -165,7 +165,12 @@ class InertialConstraints:
         found, variances = zip(*(one.gravity(result.rig_from_world[one.frames]) for one in factors))
         mean = np.average(found, axis=0, weights=1.0 / np.array(variances))
         gravity = mean * np.linalg.norm(found[0]) / np.linalg.norm(mean)
-        scale, sigma = (1.0, 0.0) if self.is_metric else scale_by_factors(factors, problem, result, config)
+        try:
+            scale, sigma = (
+                (1.0, 0.0) if self.is_metric else scale_by_factors(factors, problem, result, config)
+            )
+        except DegenerateGeometryError:
+            return
         self.shown = ImuAlignment(gravity, scale, sigma, is_adjusted=True)
         self._num_adjusted = count
 

@@ -90,9 +90,7 @@ class ImuAlignment(NamedTuple):
     gravity_in_world: np.ndarray  # (3,), m / s^2
     meters_per_unit: float
     sigma: float  # of the meters per unit, without that of the accelerometer's gain
-    is_adjusted: (
-        bool  # whether images and IMU were adjusted together; else the IMU was aligned with the keyframes
-    )
+    is_adjusted: bool  # together with the images; else only aligned with the keyframes
 
     def moved(self, new_from_old: Similarity3) -> ImuAlignment:
         """The same after the map has moved."""
