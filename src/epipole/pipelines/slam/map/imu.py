@@ -150,7 +150,7 @@ class InertialConstraints:
         return True
 
     def learn_from(self, problem: BundleProblem, result: BundleResult, config: BundleConfig) -> None:
-        """Take gravity and scale from an adjustment with factors, unless one of more keyframes has shown them.
+        """Take gravity and scale from an adjustment with factors that determines them, unless one of more keyframes did.
 
         Args:
             problem: the adjusted problem.
@@ -162,15 +162,15 @@ class InertialConstraints:
         count = sum(len(one.frames) for one in factors)
         if not count or count < self._num_adjusted:
             return
-        found, variances = zip(*(one.gravity(result.rig_from_world[one.frames]) for one in factors))
-        mean = np.average(found, axis=0, weights=1.0 / np.array(variances))
-        gravity = mean * np.linalg.norm(found[0]) / np.linalg.norm(mean)
+        scale, sigma = 1.0, 0.0
         try:
-            scale, sigma = (
-                (1.0, 0.0) if self.is_metric else scale_by_factors(factors, problem, result, config)
-            )
+            found, variances = zip(*(one.gravity(result.rig_from_world[one.frames]) for one in factors))
+            if not self.is_metric:
+                scale, sigma = scale_by_factors(factors, problem, result, config)
         except DegenerateGeometryError:
             return
+        mean = np.average(found, axis=0, weights=1.0 / np.array(variances))
+        gravity = mean * np.linalg.norm(found[0]) / np.linalg.norm(mean)
         self.shown = ImuAlignment(gravity, scale, sigma, is_adjusted=True)
         self._num_adjusted = count
 
