@@ -28,6 +28,10 @@ type_checks.install("epipole", CHECKER)
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 threadpool_limits(1, user_api="blas")
 
+# So would threads of the kernels, which take a sixth more time; results do not depend on their number. Tests of that, and of what runs in
+# several threads, set it (`two_threads`).
+os.environ.setdefault("EPIPOLE_NUM_THREADS", "1")
+
 # Numba colors the message of every error, also of those by which it finds out which form of a function fits: 4 % of a compilation.
 os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
@@ -67,6 +71,16 @@ def unchecked_module() -> Iterator[None]:
     """The same for a whole file, and what its tests share."""
     with type_checks.switched_off():
         yield
+
+
+@pytest.fixture(scope="module")
+def two_threads() -> Iterator[None]:
+    """Kernels and jobs use two threads: for tests of what runs side by side."""
+    from epipole import _parallel
+
+    _parallel.set_num_threads(2)
+    yield
+    _parallel.set_num_threads(None)
 
 
 @pytest.fixture

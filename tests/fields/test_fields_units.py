@@ -15,7 +15,7 @@ from epipole.pipelines.fields.config import FieldOptions
 from epipole.pipelines.fields.rendering import image_units
 from whole import in_whole_run
 
-pytestmark = pytest.mark.usefixtures("small_hash")
+pytestmark = pytest.mark.usefixtures("small_hash", "two_threads")
 FOUR = {"frames": 4, "width": 40}
 
 

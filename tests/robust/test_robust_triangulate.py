@@ -123,6 +123,7 @@ def test_wrong_arguments_are_refused():
 
 def test_threads_do_not_change_points(rng):
     pixels = seen_by(PAIR, [CAMERA, CAMERA], some_points(rng, 5000), 1.0, rng)
+    _parallel.set_num_threads(2)
     many = triangulate_points(PAIR, CAMERA, pixels)
     _parallel.set_num_threads(1)
     one = triangulate_points(PAIR, CAMERA, pixels)

@@ -46,6 +46,7 @@ def test_kinds_are_named(noise_px):
 
 def test_a_pair_has_one_answer_alone_in_a_list_and_on_any_threads():
     pairs, _ = made_up(12)
+    _parallel.set_num_threads(2)
     together = verify_pairs(pairs)
     _parallel.set_num_threads(1)
     alone = [verify_pairs([pair])[0] for pair in pairs]

@@ -13,6 +13,8 @@ from epipole._checks.tables import Expected
 from epipole.errors import WorkspaceError
 from epipole.runs import Unit, digest, load, run_units, store, stored_key
 
+pytestmark = pytest.mark.usefixtures("two_threads")
+
 CALLS: list[int] = []
 SQUARE = {"value": Expected("int64")}
 

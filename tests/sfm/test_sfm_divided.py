@@ -19,6 +19,8 @@ from epipole.runs import Progress
 from epipole.synthetic.problems import bundle_problem
 from whole import IS_WHOLE, in_whole_run
 
+pytestmark = pytest.mark.usefixtures("two_threads")
+
 IN_PARTS = replace(EXACT, part_images=10)
 
 

@@ -48,7 +48,7 @@ def _hand_over(done: Future, future: Future) -> None:
 
 
 @pytest.fixture(scope="module")
-def here(few: Path, tmp_path_factory: pytest.TempPathFactory) -> ReconstructionResult:
+def here(few: Path, tmp_path_factory: pytest.TempPathFactory, two_threads: None) -> ReconstructionResult:
     """The reconstruction by threads of this process, which no test changes."""
     return reconstruct(few, tmp_path_factory.mktemp("executor") / "here")
 

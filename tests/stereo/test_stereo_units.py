@@ -13,6 +13,8 @@ from epipole.scene import RectifiedRig
 from epipole.synthetic.stereo_rooms import stereo_room
 from whole import in_whole_run
 
+pytestmark = pytest.mark.usefixtures("two_threads")
+
 CONFIG = StereoConfig(max_disparity_px=40)
 
 

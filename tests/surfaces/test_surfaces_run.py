@@ -145,7 +145,7 @@ def test_the_cloud_is_on_the_surfaces(done, scene):
 def test_the_same_options_give_the_same_bytes_from_depth_ins(scene, done, monkeypatch):
     before = {name: (done.out / name).read_bytes() for name in ("cloud.ply", "mesh.ply", "textured.glb")}
     monkeypatch.setattr(depth_stage, "view_depth", lambda *_: pytest.fail("depths are stored"))
-    surface(scene.folder, done.out, texture_px=1024, formats=("glb", "obj"), threads=1)
+    surface(scene.folder, done.out, texture_px=1024, formats=("glb", "obj"), threads=2)
     assert before == {name: (done.out / name).read_bytes() for name in before}
 
 
