@@ -36,7 +36,7 @@ def complete_model(
     final_rounds: int = FINAL_ROUNDS,
     progress: Progress = ignore_progress,
 ) -> None:
-    """Complete the tracks of a finished model, triangulate them again with its poses, and adjust it, twice if it has rounds for that.
+    """Complete the tracks of a finished model, triangulate them again with its poses, and adjust it; twice if `rounds` allow it.
 
     A wrong match along the epipolar line makes a point in two images that no residual reveals, and a third image does.
     Therefore points in two images take no part in this adjustment, unless an image has few others.
