@@ -47,14 +47,12 @@ class InertialConstraints:
         camera_imu: measurements, mounting, specified noise and clock.
         is_metric: whether the map is in meters.
         aligned: scale, gravity and biases of some keyframes; None until they are observable.
-        shown: gravity and scale of the map, by the adjustment of the most keyframes so far; before the first by `aligned`. None as that.
         noise: noise densities, at least the specified ones, raised to what the adjusted trajectory shows.
     """
 
     def __init__(self, camera_imu: CameraImu, *, is_metric: bool = False) -> None:
         self.camera_imu, self.is_metric = camera_imu, is_metric
         self.aligned: InertialAlignment | None = None
-        self.shown: ImuAlignment | None = None
         self.noise = camera_imu.imu.noise
         self._num_adjusted = 0  # keyframes with factors in the adjustment that has shown it
 
@@ -84,8 +82,6 @@ class InertialConstraints:
                 self.camera_imu.other_reading = other
                 if fits and not other:
                     self.aligned, self.camera_imu.is_used = aligned, True
-                    scale, sigma = (1.0, 0.0) if self.is_metric else _scale_without_gain(aligned, self.noise)
-                    self.shown = ImuAlignment(aligned.gravity_in_world, scale, sigma, is_adjusted=False)
                     return
 
     def calibration(self, keyframes: Sequence[Keyframe], timestamp_s: float) -> ImuCalibration | None:
@@ -140,7 +136,7 @@ class InertialConstraints:
         given = np.array([one.variance_factors(cam_from_world[one.frames]) for one in factors])
         gyro, accel = np.average(given, axis=0, weights=[len(one.frames) for one in factors])
         if not max(gyro, accel) <= LARGEST_MISFIT**2:
-            self.aligned, self.shown, self._num_adjusted = None, None, 0
+            self.aligned, self._num_adjusted = None, 0
             return False
         self.noise = replace(
             self.noise,
@@ -149,10 +145,20 @@ class InertialConstraints:
         )
         return True
 
-    def learn_from(self, problem: BundleProblem, result: BundleResult, config: BundleConfig) -> None:
-        """Take gravity and scale from an adjustment with factors that determines them, unless one of more keyframes did.
+    def shown_at_first(self) -> ImuAlignment | None:
+        """Gravity and scale of the map by `aligned`."""
+        if self.aligned is None:
+            return None
+        scale, sigma = (1.0, 0.0) if self.is_metric else _scale_without_gain(self.aligned, self.noise)
+        return ImuAlignment(self.aligned.gravity_in_world, scale, sigma, is_adjusted=False)
+
+    def shown_by(
+        self, before: ImuAlignment | None, problem: BundleProblem, result: BundleResult, config: BundleConfig
+    ) -> ImuAlignment | None:
+        """Gravity and scale from an adjustment with factors that determines them, unless one of more keyframes did.
 
         Args:
+            before: what the map has so far.
             problem: the adjusted problem.
             result: its minimum, in the map's world.
             config: of the adjustment.
@@ -160,19 +166,19 @@ class InertialConstraints:
         paths = () if problem.priors is None else problem.priors.paths
         factors = [one for one in paths if isinstance(one, ImuFactors)]
         count = sum(len(one.frames) for one in factors)
-        if not count or count < self._num_adjusted:
-            return
+        if self.aligned is None or not count or count < self._num_adjusted:
+            return None if self.aligned is None else before
         scale, sigma = 1.0, 0.0
         try:
             found, variances = zip(*(one.gravity(result.rig_from_world[one.frames]) for one in factors))
             if not self.is_metric:
                 scale, sigma = scale_by_factors(factors, problem, result, config)
         except DegenerateGeometryError:
-            return
+            return before
         mean = np.average(found, axis=0, weights=1.0 / np.array(variances))
         gravity = mean * np.linalg.norm(found[0]) / np.linalg.norm(mean)
-        self.shown = ImuAlignment(gravity, scale, sigma, is_adjusted=True)
         self._num_adjusted = count
+        return ImuAlignment(gravity, scale, sigma, is_adjusted=True)
 
     def _in_a_row(self, keyframes: Sequence[Keyframe], longest_s: float) -> list[np.ndarray]:
         """Indices of consecutive keyframes, in the order of time, at most so far apart, between which the log has no gap."""

@@ -219,8 +219,7 @@ class LocalMapper:
         for position, k in enumerate(window):
             self.map.keyframes[k].cam_from_world = result.rig_from_world[position]
         if self.inertial is not None:
-            self.inertial.learn_from(problem, result, config)
-            self.map.by_imu = self.inertial.shown
+            self.map.by_imu = self.inertial.shown_by(self.map.by_imu, problem, result, config)
         is_due = len(self.map.keyframes) % COVARIANCES_EVERY == 0 or len(window) == len(self.map.keyframes)
         if self.is_metric and is_due:
             learn_covariances([self.map.keyframes[k] for k in views], len(window), problem, result, config)
@@ -287,7 +286,7 @@ class LocalMapper:
             return False
         seen = [k for k in self.map.keyframes if self.map.is_triangulated(k.point).any()]
         self.inertial.learn(seen, is_last=is_last)
-        self.map.by_imu = self.inertial.shown
+        self.map.by_imu = self.inertial.shown_at_first()
         return self.inertial.aligned is not None
 
     def _observations(
