@@ -54,7 +54,7 @@ class InertialConstraints:
         self.camera_imu, self.is_metric = camera_imu, is_metric
         self.aligned: InertialAlignment | None = None
         self.noise = camera_imu.imu.noise
-        self._num_adjusted = 0  # keyframes with factors in the adjustment that has shown it
+        self._num_adjusted = 0  # keyframes with factors in the adjustment that showed gravity and scale
 
     @property
     def imu(self) -> MountedImu:
